@@ -1,14 +1,14 @@
-"""The attitude filter for inertial sensors on BROAD, by leave-one-out, beside VQF.
+"""The attitude filter for inertial sensors on BROAD, by leave-one-out, compared with VQF.
 
-Each trial is used twice: whole, with the rest that it begins with, and begun BEGUN seconds into its
-motion and judged from LATE seconds after that. The rule by which numbers are chosen was written
-down before the search: with the total RMSE in motion of each trial, they minimise
+Each trial is used twice: whole, including the rest at its beginning, and from START_DELAY seconds
+into its motion on, judged from JUDGE_DELAY seconds after that. The rule by which numbers are chosen
+was written down before the search: with the total RMSE in motion of each trial, they minimise
 
     1/2 (mean / VQF's mean + geometric mean of the ratios to VQF's),
 
 over trials whole and in motion alike. One search (differential evolution) minimises it on all
-trials; of all that it tried, each trial is judged by what is best on the others. (What is tried
-depends a little on all trials.) The shipped numbers are what is best on all, to two digits.
+trials; each trial is judged with the candidate that is best on the others. (The candidates depend a
+little on all trials.) The shipped numbers are the best on all, to two digits.
 
     python benchmarks/broad_trials.py DATA_FOLDER [--iterations N] [--write]
     python benchmarks/broad_trials.py DATA_FOLDER --changed [--write]
@@ -41,8 +41,8 @@ from posegsa.recordings.rotations import matrices
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.recorded import recorded_batch
 
-BEGUN, LATE = 5.0, 30.0
-"""Start of a trial begun in motion, and of its judgement [s]."""
+START_DELAY, JUDGE_DELAY = 5.0, 30.0
+"""Delay of the second use after the motion begins, and of its judgement after that [s]."""
 SPREAD = 5.0
 """Numbers are searched between the shipped ones divided and multiplied by this."""
 SEARCHED = tuple(name for name in AttitudeNumbers._fields if name != "outlier")
@@ -51,7 +51,7 @@ Change = Callable[[Recording], Recording]
 
 
 class Trial(NamedTuple):
-    """A trial, whole and begun in motion, as the filter reads it."""
+    """A trial, whole and started in motion, as the filter reads it."""
 
     name: str
     whole: Recording
@@ -115,7 +115,7 @@ CHANGES: dict[str, Change | None] = {
 
 
 def vqf(recording: Recording, six_axes: bool = False) -> np.ndarray:
-    """Total, heading and inclination RMSE (3,) of VQF as it comes [deg]."""
+    """Total, heading and inclination RMSE (3,) of VQF with its defaults [deg]."""
     from vqf import VQF  # pyright: ignore[reportMissingImports] - of an extra
 
     m = recording.measurements
@@ -154,7 +154,7 @@ def _errors(filter: Any, samples: Samples, weight: Any, initial: Any, values: An
 
 
 class Judge:
-    """RMSE of any numbers on trials.
+    """RMSE of candidate numbers on trials.
 
     Args:
         trials: at least one.
@@ -192,7 +192,7 @@ def without_magnetometer(recording: Recording) -> Recording:
 
 
 def rule(errors: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """What is minimised (A,), of total errors (A, trials, 2) beside VQF's (trials, 2)."""
+    """The cost (A,) of total errors (A, trials, 2), relative to VQF's (trials, 2)."""
     ratios = np.exp(np.log(errors / others).mean(axis=(1, 2)))
     return 0.5 * (errors.mean(axis=(1, 2)) / others.mean() + ratios)
 
@@ -288,7 +288,7 @@ def main() -> None:
     cells = ["{:.2f} / {:.2f}".format(*a[..., 2].mean(axis=0)) for a in inclination]
     lines = [
         "Total (heading, inclination) RMSE in motion [deg], each trial by numbers chosen on the "
-        "others; in motion: begun 5 s into the motion, judged from 30 s after that.",
+        "others; in motion: started 5 s into the motion, judged from 30 s after that.",
         "",
         *table([t.name for t in each], {"posegsa": held_out, "VQF": others}),
         "",

@@ -7,9 +7,9 @@
    than one. The board must give the same estimate as this machine. Needs gcc-arm-none-eabi,
    libnewlib-arm-none-eabi and qemu-system-arm; without them this part is left out.
 
-The filter is a tuned result's, whole, and that for its attitude alone: the same settings without
-the landmarks, which is what other attitude filters do with a gyroscope and two vectors. Beside them
-Kalman filters of 12 and 18 states, with the result's sensors and with eight landmarks.
+The filters are that of a tuned result, and the same for the attitude alone, without the landmarks,
+as other attitude filters use a gyroscope and two vectors. They are compared with Kalman filters of
+12 and 18 states, with the result's sensors and with eight landmarks.
 
     python benchmarks/c_filter.py [--run FOLDER] [--write]
 """
@@ -99,7 +99,7 @@ def exported(result: Result) -> list[Exported]:
 
 
 def kalman(m: Measurements, vector_biases: bool) -> Exported:
-    """A Kalman filter with noises as they may be; its time does not depend on them."""
+    """A Kalman filter with plausible noises; its time does not depend on them."""
     values = (0.02, 0.02, 0.002, 0.003, 0.005, 0.1, 0.15, 1.0, 2.0, 0.1, 0.1, 0.1)
     filter = KalmanFilter(KalmanNoise(*map(jnp.float32, values)), vector_biases)
     n, landmarks = m.vectors.shape[1], m.landmarks.shape[1]
@@ -109,10 +109,10 @@ def kalman(m: Measurements, vector_biases: bool) -> Exported:
 
 
 def with_landmarks(m: Measurements, count: int) -> Measurements:
-    """The same with so many landmarks: the first, and others some metres around it."""
+    """The same with `count` landmarks: the first, and others some metres around it."""
     off = np.random.default_rng(0).uniform(-3.0, 3.0, (count, 3))
     off[0] = 0.0
-    # The body's axes are not known here: what is seen need not be what a body would see.
+    # The body's axes are unknown here, so the measurements need not be consistent.
     return m._replace(
         landmarks=m.landmarks[:, :1] + off,
         landmark_references=m.landmark_references[:, :1] + off,

@@ -1,6 +1,6 @@
-"""One tuned filter on families of scenarios that it was not tuned for, beside what else there is.
+"""One tuned filter on untrained families of scenarios, compared with the alternatives.
 
-The recommended filter as it comes, with the numbers in its configuration; the observer with the
+The recommended filter as shipped, with the numbers in its configuration; the observer with the
 numbers of its own search on each family; the Kalman filter of `kalman.toml`, started from the
 sensors and not tuned; and the clairvoyant. Prints mean cost (99th percentile) of each family.
 
@@ -24,8 +24,8 @@ DRAWN = {"angular_velocity_bias": 0.1, "velocity_bias": 0.3, "vector_bias": 0.1}
 FAMILIES: dict[str, tuple[str, dict[str, Any]]] = {
     "any start, 60 s": ("observer", {}),
     "any start, biases drawn": ("observer", DRAWN),
-    "any start, noise 3 times as high as told": ("observer", {"noise_scale": [3.0, 3.0]}),
-    "any start, noise a third of what is told": ("observer", {"noise_scale": [0.333, 0.333]}),
+    "any start, noise 3 times as high as assumed": ("observer", {"noise_scale": [3.0, 3.0]}),
+    "any start, noise a third of the assumed": ("observer", {"noise_scale": [0.333, 0.333]}),
     "as in the field, 60 s": ("field", {}),
     "the paper's start, 15 s": ("paper_start", {}),
     "the paper's start, 60 s": ("paper_minute", {}),

@@ -1,8 +1,8 @@
-"""A population of invariant Kalman filters, posegsa's beside C written by hand for the same.
+"""A population of invariant Kalman filters: posegsa compared with hand-written C.
 
 100 candidates that differ in the sensors' four noises, on configs/paper.toml (two vectors, one
 landmark, 1500 samples), with 12 and with 18 states, on one core and on two. Each size runs in a
-process of its own, which is held on its cores and times both by turns.
+process of its own, which is pinned to its cores and times both by turns.
 
     python benchmarks/kalman_beside_c.py [--write]
 
@@ -36,7 +36,7 @@ from posegsa.search.problem import TuningProblem
 from posegsa.search.run_search import on_all_devices
 
 AGENTS = 100
-BELIEVED = {
+ASSUMED = {
     "angular_velocity": 0.02,
     "velocity": 0.01,
     "angular_walk": 0.003,
@@ -52,19 +52,19 @@ BELIEVED = {
 }
 """`KalmanNoise`."""
 SEARCHED = ("angular_velocity", "velocity", "vector", "landmark")
-"""What the candidates differ in, by up to FACTOR either way."""
+"""The numbers in which candidates differ, by up to FACTOR either way."""
 FACTOR = 3.0
 TOLERANCE = 1e-3
-"""Relative, of the mean cost."""
+"""Relative tolerance of the mean cost."""
 PAIRS = 150
-"""Turns of both."""
+"""Number of alternating runs of both."""
 
 
 def task_of_filters(states: int) -> tuple[TuningProblem, jax.Array, KalmanFilter]:
-    """The experiment with filters of so many states; vectors (A, 4) and the filters of these."""
+    """The experiment with filters of 12 or 18 states; vectors (A, 4) and the filters of these."""
     task = task_of("float32", agents=AGENTS)
     filter = KalmanFilter(
-        KalmanNoise(**{name: jnp.float32(value) for name, value in BELIEVED.items()}), states > 12
+        KalmanNoise(**{name: jnp.float32(value) for name, value in ASSUMED.items()}), states > 12
     )
     e = task.experiment
     seeds = training_keys(e.run.seed, e.run.training_scenarios)
@@ -113,7 +113,7 @@ def measure(states: int, cores: int, folder: Path) -> dict[str, Any]:
 
 
 def table(all_found: list[dict[str, Any]]) -> str:
-    """What was found, as a Markdown table."""
+    """The results as a Markdown table."""
     lines = [
         "| states | cores | posegsa [ns] | C [ns] | times C | costs differ by, mean (largest) "
         "| first call |",

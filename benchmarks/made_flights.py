@@ -1,11 +1,11 @@
-"""Flights that were made to break posegsa: what is tuned on one, judged on another of its kind.
+"""Simulated flights that are meant to break posegsa: tuned on one, judged on another of its kind.
 
-A body that moves by sums of sines, and sensors with what real ones have and a model has not:
-a gyroscope sampled at its stamp, the noise of a mocap in the truth, scales that are off, noise
-that lasts, walks, an accelerometer that feels every acceleration, outliers. NumPy and SciPy alone;
-nothing of posegsa makes the data. `posegsa tune --recording` stands beside a Kalman filter with
-the deviations that the flight was made with, and the one that comes with posegsa. RMSEs count
-after 5 s, against the truth without its noise.
+A body that moves by sums of sines, and sensors with effects that real ones have and a model lacks:
+a gyroscope sampled at its stamp, motion capture noise in the truth, scale errors, correlated noise,
+random walks, an accelerometer that measures every acceleration, outliers. NumPy and SciPy alone;
+nothing of posegsa makes the data. `posegsa tune --recording` is compared with a Kalman filter with
+the deviations that the flight was made with, and with the shipped configurations. RMSEs count after
+5 s, against the truth without its noise.
 
     python benchmarks/made_flights.py [--write]   # docs/recordings.md; six minutes
 """
@@ -54,11 +54,11 @@ class Kind:
     lasts: float = 0.0
     """Time constant of half of each noise's variance [s]; 0 without."""
     walks: tuple[float, float] = (0.0, 0.0)
-    """Of both velocities' biases."""
+    """Random walks of both velocities' biases."""
     scales: tuple[float, float] = (0.0, 0.0)
     """Deviation of both velocities' scales, by axis."""
     accelerates: bool = False
-    """Whether the first vector is an accelerometer that feels the body's acceleration."""
+    """Whether the first vector is an accelerometer that measures the body's acceleration."""
     outliers: float = 0.0
     """Share of landmark measurements that are off by 1 to 5 m."""
     room: float = 5.0
@@ -253,7 +253,7 @@ def errors(result: Result, recording: Recording, P: np.ndarray, turn: Rotation) 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Flights that were made to break posegsa.")
+    parser = argparse.ArgumentParser(description="Simulated flights meant to break posegsa.")
     parser.add_argument("--write", action="store_true", help=f"into {PAGE}")
     options = parser.parse_args()
     posegsa.enable_fast_path()

@@ -1,11 +1,11 @@
-"""The observer from every kind of start: how configs/observer.toml was tuned, and what it is worth.
+"""The observer from every kind of start: how configs/observer.toml was tuned, and its cost.
 
 A family has one kind of start. This search has scenarios of three: from the sensors, from any pose,
 and from an attitude that is 150 to 180 deg off. It is otherwise that of observer.toml.
 
     python benchmarks/observer_starts.py --search 0     seed 0; judged on validation; prints [tuned]
     python benchmarks/observer_starts.py --held-out 33  judges observer.toml as it is
-    python benchmarks/observer_starts.py --rivals 3     what each setting is worth, and a clock,
+    python benchmarks/observer_starts.py --rivals 3     the effect of each setting, and a clock,
                                                         with 3 seeds each; --write: into the docs
 """
 
@@ -46,11 +46,11 @@ STARTS: dict[str, tuple[str, ...]] = {
 }
 """Settings of the scenarios with each kind of start."""
 TRAINED = 3
-"""How many of them are tuned on, the first."""
+"""The first of these kinds, which the search uses."""
 EACH = 16
 """Training scenarios of each."""
 VALIDATION, VALIDATION_SEED = 256, 1000
-"""How many validation scenarios of each, and whose: those of no search."""
+"""Validation scenarios of each kind, and their seed, which no search uses."""
 CLOCK = f"a gain by the clock, {KNOTS} knots, with the last two"
 RIVALS: dict[str, tuple[str, ...]] = {
     "the observer": (),
@@ -62,7 +62,7 @@ RIVALS: dict[str, tuple[str, ...]] = {
     "a smooth function of the error, with all three": ("filter.schedule=smooth",),
     "a constant gain, with the last two": ("filter.schedule=constant",),
 }
-"""What is searched like the observer to see what explains its success, by its settings."""
+"""Variants that are searched like the observer, to see what explains its success, by settings."""
 PAGE = "docs/observer.md"
 
 
@@ -73,7 +73,7 @@ def drawn(experiment: config.Experiment, start: str, keys: Array) -> ScenarioBat
 
 
 def joined(batches: Iterable[ScenarioBatch]) -> ScenarioBatch:
-    """One batch of all, in which every scenario says when its estimate begins."""
+    """One batch of all, with a start time for each scenario's estimate."""
     begun = [
         one._replace(begin=np.zeros(len(one.bias), one.dtype)) if one.begin is None else one
         for one in batches
@@ -92,7 +92,7 @@ def searched(experiment: config.Experiment, by_clock: bool = False) -> tuple[Can
     """The best candidate of the search on all three starts, and its training cost.
 
     Args:
-        experiment: What is searched.
+        experiment: The experiment that is searched.
         by_clock: Whether a gain at knots of the time takes the place of its schedule.
     """
     run = experiment.run

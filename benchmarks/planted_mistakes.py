@@ -1,7 +1,7 @@
-"""The usual mistakes, planted in real recordings, and what `posegsa check` says of them.
+"""The usual mistakes, planted in real recordings, and what `posegsa check` reports.
 
-First all recordings are looked at as they are: nothing may be named. Then each mistake that can be
-made is planted in a flight, in EuRoC V1_02 and in a trial of BROAD: it alone should be named.
+First all recordings are checked unchanged: nothing may be reported. Then each possible mistake is
+planted in a flight, in EuRoC V1_02 and in a trial of BROAD: it alone should be reported.
 
 DATA_FOLDER has the folders `flights`, `euroc` and `broad`.
 
@@ -33,7 +33,7 @@ Planted = tuple[str, str, Arguments]
 
 
 def arguments(recording: Recording) -> Arguments:
-    """What makes a recording again."""
+    """The arguments that make a recording again."""
     m = {name: np.array(a, float) for name, a in recording.measurements._asdict().items()}
     assert recording.truth is not None
     found: Arguments = {
@@ -165,8 +165,8 @@ def look(words: str, given: Arguments) -> str:
 
 
 def main() -> None:
-    """Look at all recordings, plant the mistakes, print the table and write it into the page."""
-    parser = argparse.ArgumentParser(description="What posegsa check says of planted mistakes.")
+    """Check all recordings, plant the mistakes, print the table and write it into the page."""
+    parser = argparse.ArgumentParser(description="What posegsa check reports of planted mistakes.")
     parser.add_argument("data", metavar="DATA_FOLDER", type=Path)
     parser.add_argument("--write", action="store_true", help=f"into {PAGE}")
     options = parser.parse_args()

@@ -63,7 +63,7 @@ def experiment_of(case: Case, seed: int = 0) -> config.Experiment:
 
 
 def on_scenarios(result: Result) -> OnScenarios:
-    """What a result is worth on the scenarios that it was judged on."""
+    """The performance of a result on the scenarios that it was judged on."""
     assert result.on_scenarios is not None
     return result.on_scenarios
 
@@ -218,12 +218,12 @@ def seeded(seeds: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Tables of what tuning gives.")
+    parser = argparse.ArgumentParser(description="Tables of the results of tuning.")
     parser.add_argument("--scenarios", type=int, default=1000, help="held-out scenarios")
     parser.add_argument("--seeds", type=int, default=3, help="searches of each configuration")
     parser.add_argument("--only", choices=JUDGED, help="judge one kind of scenario")
     parser.add_argument("--seed", type=int, help="with --only: for one seed of the search")
-    parser.add_argument("--again", action="store_true", help="judge anew what is kept")
+    parser.add_argument("--again", action="store_true", help="judge stored results again")
     parser.add_argument("--write", action="store_true", help="write the tables into their pages")
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from contenders import c, numpy_vectorised
-from contenders.plain_loop import CHECKED
+from contenders.plain_loop import SLICE
 from contenders.scene import Scene, load
 from machine import cpu, machine
 from readme import write_block
@@ -332,7 +332,7 @@ class Benchmark:
 
     def add_slice(self, name: str, found: dict[str, Any]) -> None:
         """A row extrapolated from a slice whose costs are checked against NumPy's."""
-        part = self.scene.part(**CHECKED, agents=len(found["costs"]))
+        part = self.scene.part(**SLICE, agents=len(found["costs"]))
         known = numpy_vectorised.prepare(part)()[0]
         difference = float(np.max(np.abs(np.array(found["costs"]) / known - 1)))
         row = Row(name, 1, difference=difference, c_best=self.c_best.get(1))
@@ -366,9 +366,9 @@ def page(rows: list[Row], facts: dict[str, Any], about: dict[str, str], command:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Speed of posegsa beside what else there is.")
+    parser = argparse.ArgumentParser(description="Speed of posegsa compared with the alternatives.")
     parser.add_argument("--quick", action="store_true", help="fewer sizes, a minute or two")
-    parser.add_argument("--only", choices=("posegsa",), help="posegsa beside C, nothing else")
+    parser.add_argument("--only", choices=("posegsa",), help="posegsa and C only")
     parser.add_argument("--readme", action="store_true", help="write README, docs and figure")
     parser.add_argument(
         "--fuzzylite-python",

@@ -1,4 +1,4 @@
-"""Schedules of a Kalman filter's noises beside their rivals, on one family of scenarios.
+"""Schedules of a Kalman filter's noises compared with alternatives, on one family of scenarios.
 
 Every contender is searched with the same optimiser and number of evaluations on the same training
 scenarios, and judged on others. Prints the table of a family: mean cost, its difference from the
@@ -6,7 +6,7 @@ paper's controller with a 95 % interval (paired, bootstrap), median, 99th percen
 
     python benchmarks/schedules.py recommended     # any start, as given; five minutes on two cores
     python benchmarks/schedules.py field --seeds 3
-    python benchmarks/schedules.py disturbed       # whom to believe
+    python benchmarks/schedules.py disturbed       # belief in sensors
 """
 
 import argparse
@@ -57,10 +57,11 @@ RULES: dict[str, tuple[list[tuple[float, float]], Callable[[Array], RampGain]]] 
 """Rules that users know, as straight lines of belief with one number each for vectors and for
 landmarks. The factor is q^slope above a threshold. Huber's weight of a residual r in standard
 deviations, c / |r| beyond c, is the slope 1/2 of q = r^2, at once. The plain residual law is a
-power of the low-passed q. Sage and Husa's variance is what the residuals speak for, low-passed."""
+power of the low-passed q. Sage and Husa's variance is the low-passed variance that the residuals
+imply."""
 Contenders = dict[str, tuple[dict[str, Any], list[dict[str, Any]] | None]]
-"""By name: changes of [filter], and what is tuned beside a schedule; None for no search. What
-begins with the name of a rule is searched in its space."""
+"""By name: changes of [filter], and numbers tuned in addition to a schedule, or None for no search.
+A contender whose name begins with that of a rule is searched in the rule's space."""
 
 
 def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
@@ -169,7 +170,7 @@ def row(name: str, training: float | None, costs: np.ndarray, beside: np.ndarray
 
 def main() -> None:
     """Search and judge all contenders of a family."""
-    parser = argparse.ArgumentParser(description="Schedules of a Kalman filter beside rivals.")
+    parser = argparse.ArgumentParser(description="Schedules of a Kalman filter and alternatives.")
     parser.add_argument("family", help="a configuration of posegsa: its scenarios and cost")
     parser.add_argument("--seeds", type=int, default=1, help="searches of each contender")
     parser.add_argument("--scenarios", type=int, default=200)
@@ -194,7 +195,7 @@ def main() -> None:
             print(f"  {name}: {found[name][1].mean():.2f}", flush=True)
         if isinstance(family.filter, config.ObserverConfig):
             tuned = candidate_of(configured_filter(family), family)
-            found["the observer, as it comes"] = None, held_out(family, tuned, keys)
+            found["the observer as shipped"] = None, held_out(family, tuned, keys)
         if family.scenario.start == "given" and options.family != "sparse":
             plain = one.replace(
                 scenario=one.scenario.model_copy(update={"start": "sensors"}),

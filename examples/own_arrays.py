@@ -3,7 +3,7 @@
 
 A tuned filter over arrays with uneven steps and missing measurements. ::
 
-    python examples/own_arrays.py         # the filter of `observer`, as it comes
+    python examples/own_arrays.py         # the filter of `observer`, as shipped
     python examples/own_arrays.py RUN     # the one in a folder that `posegsa tune --out RUN` wrote
 """
 

@@ -5,7 +5,7 @@ A search for the 22 numbers of the fuzzy controller and some of the filter and t
 simulated scenarios; then the tuned filter as C and as a fuzzy controller for other tools. ::
 
     python examples/tune_and_export.py          # half a minute
-    python examples/tune_and_export.py 200      # beside all baselines on 200 scenarios; minutes
+    python examples/tune_and_export.py 200      # with all baselines on 200 scenarios; minutes
 """
 
 import sys

@@ -51,7 +51,7 @@ def enable_compilation_cache() -> None:
             return
         config.update("jax_compilation_cache_dir", str(folder))
         if not os.access(folder, os.W_OK):
-            least = math.inf  # store nothing; else JAX would warn for each program
+            least = math.inf  # store nothing; otherwise JAX would warn for each program
             _say_not_kept(f"{folder} can only be read")
     config.update("jax_persistent_cache_min_compile_time_secs", least)
 

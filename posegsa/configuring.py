@@ -49,13 +49,13 @@ def configured(
         schedule: A gain schedule made by hand instead of the configured one: `ConstantGain`,
             `FuzzyGain` of a controller that the experiment can have, or another of
             `posegsa.model.schedules`.
-        filter: The user's own filter, where `filter.kind` is "own" (`tune`).
-        recordings: Whose vectors and landmarks it then knows; those with a truth judge it.
+        filter: The user's own filter, if `filter.kind` is "own" (see `tune`).
+        recordings: The filter knows their vectors and landmarks; those with a truth judge it.
 
     Raises:
         ArgumentError: The configuration has no numbers for its schedule; or another schedule.
         ConfigError: The file cannot be read or is not a valid experiment.
-        FuzzyError: The controller is none that the experiment can have.
+        FuzzyError: The controller is not one that the experiment can have.
     """
     chosen = config.as_experiment(experiment)
     if schedule is None:
@@ -92,18 +92,18 @@ def _by_hand(schedule: GainSchedule, experiment: Experiment) -> tuple[Experiment
             space, own = parameter_space(chosen), schedule.controller
             made = space.schedule(space.checked(np.asarray(space.vector(own)))).controller
             for each in fields(FuzzyController):
-                # How far terms overlap saves time and changes nothing.
+                # The reach only saves time and changes no result.
                 if each.name != "reach" and not _same(getattr(made, each.name), own, each.name):
                     raise FuzzyError(
-                        f"schedule.controller.{each.name}: is not what the experiment makes of its "
-                        f"parameters, {getattr(made, each.name)}; allowed: a controller of this "
-                        "experiment, or an experiment with the controller's [fuzzy] settings"
+                        f"schedule.controller.{each.name}: is not what the experiment's "
+                        f"parameters give, {getattr(made, each.name)}; allowed: a controller of "
+                        "the experiment, or one with the controller's [fuzzy] settings"
                     )
         return chosen, describe(Candidate(schedule), chosen, 0)
 
 
 def _same(made: object, controller: FuzzyController, name: str) -> bool:
-    """Whether a field of a controller is what another one has, terms to the precision of both."""
+    """Whether a field is the same in both controllers, terms to the precision of both."""
     own = getattr(controller, name)
     if isinstance(own, Array | np.ndarray):
         eps = 8 * max(float(np.finfo(np.asarray(a).dtype).eps) for a in (made, own))

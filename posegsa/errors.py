@@ -36,7 +36,7 @@ class MemoryLimitError(ConfigError):
 
 
 class SearchError(PosegsaError, RuntimeError):
-    """A search that failed half way; says how to continue from its last checkpoint."""
+    """A search that failed before its end; says how to continue from its last checkpoint."""
 
 
 class MeasurementError(PosegsaError, ValueError):

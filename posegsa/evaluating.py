@@ -55,10 +55,10 @@ def evaluate(
     cost: TrackCost | None = None,
     progress: steps.Listener | None = None,
 ) -> Result:
-    """Judge a tuned filter beside all baselines, on held-out scenarios or on recordings.
+    """Judge a tuned filter and all baselines, on held-out scenarios or on recordings.
 
-    On scenarios the baselines are other gain schedules of the observer, Kalman filters, and what
-    follows from the tuned filter itself: its gains replayed, a random search for it, its numbers
+    On scenarios the baselines are other gain schedules of the observer, Kalman filters, and
+    variants of the tuned filter itself: its gains replayed, a random search for it, its numbers
     before the tuning (`judging.baselines`). They are searched on the run's training scenarios, with
     the run's optimiser and number of evaluations; the Kalman filters' noises until the cost hardly
     improves (`judging.tuned_kalman`). What is already in the result is not searched again. The
@@ -82,13 +82,13 @@ def evaluate(
         progress: Called with each `steps.Step`; its `about` names the filter.
 
     Returns:
-        The result with a new judgement, beside the one on other data if it has that.
+        The result with a new judgement; an existing one on other data is kept.
 
     Raises:
         ArgumentError: Fewer than 2 scenarios, an argument of the wrong type or without effect here,
             a different cost, or, on recordings, a gain that depends on the true pose.
         RecordingError: A recording has no ground truth.
-        MemoryLimitError: So many scenarios would need more memory than available.
+        MemoryLimitError: That number of scenarios would need more memory than available.
     """
     check_type("result", result, Result)
     check_callable("progress", progress)
@@ -141,7 +141,7 @@ def evaluate(
 def _all_found(
     result: Result, judged: OnScenarios, problem: TuningProblem
 ) -> dict[str, tuple[config.Experiment, Description]]:
-    """All contenders, in order, each with the experiment that it is a filter of.
+    """All contenders, in order, each with the experiment that its filter belongs to.
 
     Those already in the result's evaluation are not searched.
     """

@@ -71,8 +71,8 @@ class PoseFilter:
             (`posegsa.filters.base.Filter`). A result brings the references of its experiment or
             recordings; the weights of its recordings are in its filter.
         rotation: (3, 3) R_est at the first sample, body to inertial. The attitude filter needs
-            none: it begins upright and to the north by itself.
-        position: (3,) P_est there [m], inertial frame; of the attitude filter none.
+            none: its first samples turn it upright and to the north.
+        position: (3,) P_est there [m], inertial frame; not for the attitude filter.
         bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
         vector_references: (n, 3) v_i^I, the vectors in the inertial frame, in the order of
             `update`; by default those of the result, or none. Vectors beyond those of the
@@ -175,9 +175,9 @@ class PoseFilter:
             vector_weights: scalar or (n,) factors on the weights of this sample; by default those
                 of the constructor.
             landmark_weights: scalar or (m,) likewise.
-            gyr: (3,) `angular_velocity` by another name.
-            acc: (3,) specific force [m/s^2], 9.8 upwards at rest, body frame; only of the attitude
-                filter, where acc and mag are `vectors` by other names.
+            gyr: (3,) another name of `angular_velocity`.
+            acc: (3,) specific force [m/s^2], 9.8 upwards at rest, body frame; only for the attitude
+                filter, for which acc and mag are other names of the two `vectors`.
             mag: (3,) magnetic field in any unit, body frame; likewise.
 
         Returns:
@@ -192,11 +192,11 @@ class PoseFilter:
         ages = self._ages + self._time_step
         if gyr is not None:
             if angular_velocity is not None:
-                refuse("gyr with angular_velocity", "one of both")
+                refuse("gyr with angular_velocity", "one of the two")
             angular_velocity = gyr
         if acc is not None or mag is not None:
             if not self._inertial or vectors is not None:
-                refuse("acc, mag", "without vectors, and only of the attitude filter (imu)")
+                refuse("acc, mag", "without vectors, and only for the attitude filter (imu)")
             vectors = [acc, mag]
         omega = self._held("angular_velocity", angular_velocity, 0, ages, limits.ANGULAR_VELOCITY)
         still = velocity is None and self._attitude_only
@@ -273,7 +273,7 @@ class PoseFilter:
 
     @property
     def own_state(self) -> Any:
-        """The filter's own state; `AttitudeState` tells rest, belief and deviations."""
+        """The filter's own state; an `AttitudeState` has rest, belief and standard deviations."""
         return jax.tree.map(np.copy, self._unpacked.state)
 
     @property
@@ -352,8 +352,8 @@ class PoseFilter:
             checkpoint: From `checkpoint`, or as read by `numpy.load`.
 
         Raises:
-            ArgumentError: It is no checkpoint, has another format, is of a filter with other laws,
-                rules or numbers, or holds invalid values such as NaN.
+            ArgumentError: It is not a checkpoint, has another format, is of a filter with other
+                laws, rules or numbers, or holds invalid values such as NaN.
         """
         check_type("checkpoint", checkpoint, Mapping, allowed="a mapping of arrays")
         own = self.checkpoint()
@@ -366,7 +366,7 @@ class PoseFilter:
         if (given["clock"] < 0).any():
             refuse("checkpoint: clock holds a negative time", "times from 0 on")
         known = {name: np.isfinite(given[name]) for name in ("record", "velocities", "clock")}
-        if given["clock"][0] == 0:  # a new filter has some NaN, such as the error before
+        if given["clock"][0] == 0:  # a new filter has some NaN, such as the last error
             known["record"] |= ~np.isfinite(self._start)
         else:  # the state may hold infinity, the estimate not (`_check_estimate`)
             hidden = np.ones(len(known["record"]), bool)
@@ -407,8 +407,8 @@ class PoseFilter:
         excess = abs(np.square(record[self._quaternion_at]).sum() - 1)
         if excess > limits.UNIT_TOLERANCE:
             raise MeasurementError(
-                f"the squared length of the estimated quaternion would be off 1 by {excess:g}; "
-                f"allowed: {limits.UNIT_TOLERANCE:g} at most"
+                "the squared length of the estimated quaternion would differ from 1 by "
+                f"{excess:g}; allowed: {limits.UNIT_TOLERANCE:g} at most"
             )
 
     def _begin(self, record: np.ndarray) -> None:
@@ -456,7 +456,7 @@ class _Sensors:
             setting = "vectors.weights" if name == "vector" else "landmark_weights"
             refuse(
                 f"settings.{setting}: {len(weights)} of them",
-                f"{count}, as there are {name}_references, or None",
+                f"{count}, one for each of {name}_references, or None",
             )
         self._factors = self._checked_factors(factors)
         self.weights = np.ones(count) if weights is None else np.asarray(weights, np.float64)
@@ -504,7 +504,7 @@ def _tuned(result: Result, vectors: int, landmarks: int) -> Filter:
 
 
 def _by_hand(source: Any) -> Filter:
-    """A filter made by the user, with all its numbers in one floating-point type."""
+    """A user's filter, with all its numbers in one floating-point type."""
     check_filter("source", source, "a Result (posegsa.load reads one)")
     kinds = {leaf.dtype for leaf in jax.tree.leaves(source) if hasattr(leaf, "dtype")}
     if wrong := [kind for kind in kinds if kind.kind != "f"]:

@@ -108,7 +108,7 @@ def sweep(
 
     def how() -> str:
         done = f"{before + len(made)} of {len(mine)} runs are in {folder}"
-        return f"interrupted; {done}, the same command goes on from there"
+        return f"interrupted; {done}, the same command continues from there"
 
     with shown(progress), resumable(how):
         for run in _made(base, missing, together, before):
@@ -221,7 +221,7 @@ def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]
 
 
 def _structure(experiment: config.Experiment) -> tuple[Hashable, int]:
-    """What the searches of a batch must have in common, and the maximum size of the batch.
+    """The structure that the searches of a batch must share, and the maximum size of the batch.
 
     All runs of a batch are stored when the last is done, so large runs go in small batches.
     """

@@ -63,7 +63,7 @@ Recordings = Recording | Iterable[Recording]
 """One recording, or several."""
 
 FEW_SHARED = 300
-"""So many samples may be in two recordings without a word."""
+"""Maximum number of samples that two recordings may share without a warning."""
 
 
 def tune(
@@ -98,8 +98,8 @@ def tune(
             the user's own. On recordings, its filter, signal, fuzzy inference, boxes,
             `parameters.also`, objective and optimiser are used, and the weights of its scenario's
             vectors and landmarks, in order.
-        filter: The user's own filter (`filters.base.Filter`), where `filter.kind` is "own": its
-            class, or any function that makes one of the numbers of [filter], given by name; or a
+        filter: The user's own filter (`filters.base.Filter`), if `filter.kind` is "own": its class,
+            or any function that makes a filter from the numbers of [filter], passed by name; or a
             filter, which then gets them by its `with_values`.
         recordings: Recordings to tune on instead of simulated scenarios: any number, length and
             rate. The cost of one is the RMSE of its attitude [deg] plus `position_weight` times the
@@ -165,7 +165,7 @@ def tune(
 
 
 class _Task(NamedTuple):
-    """What is to be tuned, and on what."""
+    """The experiment to tune, and the data to tune it on."""
 
     experiment: config.Experiment
     recorded: Recorded | None
@@ -246,7 +246,7 @@ def _recorded(
 
 
 def _share_in(one: Recording, other: Recording) -> float:
-    """The share of the samples of `other` that one has too, by its measured velocities.
+    """The share of the samples of `other` that are in `one` too, by their measured velocities.
 
     It is 0 below a few hundred, and for a body at rest, where samples may agree by chance.
     """
@@ -261,7 +261,7 @@ def _share_in(one: Recording, other: Recording) -> float:
 
 
 def _as_read(recorded: Recorded | None, experiment: config.Experiment) -> Recorded | None:
-    """Recordings as the experiment's filter reads them, each with something that it sees."""
+    """Recordings as the experiment's filter reads them, each with a vector or a landmark."""
     if recorded is None:
         return None
     training, unseen = (
@@ -389,5 +389,5 @@ def _chosen(
     given = {"run.seed": seed, "search.iterations": iterations}
     settings = [f"{key}={toml(value)}" for key, value in given.items() if value is not None]
     chosen = config.override(config.as_experiment(experiment), settings)
-    # A search replaces the numbers of the last one.
+    # A search replaces the numbers of the last search.
     return chosen.model_copy(update={"tuned": config.TunedConfig()})

@@ -22,7 +22,7 @@ from posegsa.runtime import fast_path_flags
 # Searches as small as most tests' use one of the devices.
 os.environ["XLA_FLAGS"] = fast_path_flags(os.environ.get("XLA_FLAGS", ""), devices=4)
 
-# Compiled programs are kept, the smallest too: compiling is two thirds of the tests' time, and a
+# Compiled programs are kept, even the smallest: compiling is two thirds of the tests' time, and a
 # program is found again by other workers, processes that tests start, and later runs. One that
 # was compiled for another CPU, whose instructions may differ, is none of these.
 CPU = Path("/proc/cpuinfo").read_text("utf-8") if Path("/proc/cpuinfo").exists() else ""
@@ -34,12 +34,12 @@ jax.config.update("jax_compilation_cache_dir", str(CACHE))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 # No silent change of dtype, no silent broadcast of ranks. For fixtures as for tests: what is
-# compiled under other rules is compiled anew.
+# compiled under other rules is compiled again.
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# JAX makes millions of objects that stay: looking for garbage among all of them, as often as Python
-# does by default, takes a twentieth of the tests' time.
+# JAX makes millions of objects that stay. To check all of them in each garbage collection, as often
+# as Python does by default, takes a twentieth of the tests' time.
 gc.set_threshold(20_000, 50, 1000)
 
 # The first example of a shape compiles, so that no example has a deadline.

@@ -1,1 +1,1 @@
-"""What posegsa is measured against, one module each, and the scene that they all compute."""
+"""The contenders that posegsa is compared with, a module each, and their common input."""

@@ -18,15 +18,15 @@ SOURCES = ("pose_filter.c", "learning_filter.c")
 FLAGS = ("-O3", "-ffast-math", "-fPIC")
 OPTIONAL_FLAGS = (
     "-fopenmp",  # threads
-    "-fschedule-insns",  # instructions ordered by their waiting times before registers are given
-    "-fsched-pressure",  # out, as long as registers last: 15 %
+    "-fschedule-insns",  # instructions ordered by latency before registers are allocated,
+    "-fsched-pressure",  # while registers suffice: 15 % faster
 )
-"""Taken where the compiler knows them."""
+"""Used if the compiler supports them."""
 ISAS = {
     "native": ("-march=native", "-mprefer-vector-width=512"),  # full vectors: twice as fast
     "avx2": ("-march=x86-64-v3", "-mprefer-vector-width=256", "-DLANES=8"),
 }
-"""What the compiler is told of the CPU: this one, or one with vectors of 8 floats."""
+"""Compiler options for the CPU: this one, or one with vectors of 8 floats."""
 
 FLOATS = np.ctypeslib.ndpointer(np.float32, flags="C_CONTIGUOUS")
 
@@ -47,13 +47,13 @@ class _Settings(ctypes.Structure):
 
 
 def compiler() -> str | None:
-    """The C compiler: CC, gcc or cc, whichever is there first."""
+    """The C compiler: CC, gcc or cc, whichever is found first."""
     names = [os.environ.get("CC"), "gcc", "cc"]
     return next((path for name in names if name and (path := shutil.which(name))), None)
 
 
 def compiler_version() -> str:
-    """First line of what the compiler says of itself."""
+    """First line of the compiler's version output."""
     command = compiler()
     if command is None:
         return "none"

@@ -21,7 +21,7 @@ _TERMS = ("VS", "S", "M", "L", "VL")
 
 
 def controller(inputs: np.ndarray, outputs: np.ndarray, points: int) -> Controller:
-    """A Mamdani engine on so many sample points."""
+    """A Mamdani engine on this number of sample points."""
 
     def terms(triangles: np.ndarray) -> list[fl.Term]:
         return [

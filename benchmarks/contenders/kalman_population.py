@@ -17,7 +17,7 @@ SOURCES = ("kalman_filter.c",)
 
 
 def build(folder: Path, states: int) -> Path:
-    """Compile the library for so many states, 12 or 18.
+    """Compile the library for 12 or 18 states.
 
     Raises:
         RuntimeError: there is no compiler, or it fails.
@@ -33,8 +33,8 @@ def prepare(
     Args:
         batch: S scenarios.
         filters: A of them, which differ in their noises: leaves (A,).
-        library: from `build`, for as many states.
-        threads: that share the work.
+        library: from `build`, for the same number of states.
+        threads: number of threads.
 
     Raises:
         RuntimeError: the library was built from another source.

@@ -46,7 +46,7 @@ class Packed(NamedTuple):
     outputs: np.ndarray
     """(A, 5, 3) output terms."""
     numbers: np.ndarray
-    """(A, 8) each agent's own."""
+    """(A, 8) numbers of each agent."""
     settings: _Settings
 
 
@@ -69,9 +69,9 @@ def packed(task: TuningProblem, vectors: jax.Array) -> Packed:
     known = task.space.schedules.rules == RULES and training.end is None
     plain = settings.per_angular_bias_bound is None and settings.per_linear_bias_bound is None
     if learning is None or not isinstance(sensors, VectorSamples) or not (known and plain):
-        raise ValueError("rules, bounds or the vectors' bias law are not those of it")
+        raise ValueError("rules, bounds or vector bias law are not those of configs/observer.toml")
     if learning.law != "linear" or not section.normalise_vectors or len(sensors.each) != 2:
-        raise ValueError("it knows two vectors, normalised, whose bias gain follows K")
+        raise ValueError("the C code needs two vectors, normalised, whose bias gain follows K")
     limits = (
         settings.gain_limit,
         signal.rate_scale,
@@ -185,10 +185,10 @@ def _joined(components: tuple[jax.Array, ...]) -> np.ndarray:
 
 
 def _alike(values: Any) -> float:
-    """The number that all agents have."""
+    """The common number of all agents."""
     found = np.unique(np.asarray(values, np.float64))
     if found.size != 1:
-        raise ValueError("a number differs from agent to agent that the C code takes for all")
+        raise ValueError("a number that is common to all agents in the C code differs between them")
     return float(found[0])
 
 

@@ -1,7 +1,7 @@
-"""One agent at a time, one sample at a time, 3x3 matrices: the loop that one writes first.
+"""One agent at a time, one sample at a time, 3x3 matrices: the straightforward loop.
 
-The fuzzy controller is whatever library the caller brings. NumPy only, so that the library may live
-in an environment of its own. Slow: it is run on a slice and extrapolated.
+The caller chooses the library of the fuzzy controller. NumPy only, so that the library may be in an
+environment of its own. Slow: it is run on a slice and extrapolated.
 """
 
 import time
@@ -11,7 +11,7 @@ import numpy as np
 
 from contenders.scene import Scene
 
-CHECKED = {"start": 400, "samples": 30}
+SLICE = {"start": 400, "samples": 30}
 """The slice that is run: in the steady window, where costs depend on the controller."""
 
 Controller = Callable[[float, float, float], float]
@@ -87,15 +87,15 @@ def measure(
     """Costs of a slice on a fine grid, to be checked, and the time of a step with 101 points.
 
     Args:
-        scene: the whole of it.
+        scene: the whole scene.
         make: a controller of input terms, output terms (5, 3) and a number of sample points.
         seconds: about how long to measure.
 
     Returns:
         Costs of the first agents on the slice, with 2001 points, and the mean time per agent and
-        step [s] over all agents that there was time for.
+        step [s] over all agents that were timed.
     """
-    slice_ = scene.part(**CHECKED)
+    slice_ = scene.part(**SLICE)
     checked = [simulate(slice_, make(scene.inputs[a], scene.outputs[a], 2001)) for a in range(2)]
     # Controllers are made outside: a search makes one for each agent, not for each step.
     spent, steps = 0.0, 0

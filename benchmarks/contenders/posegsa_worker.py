@@ -43,16 +43,16 @@ from posegsa.search.run_search import on_all_devices, run_search
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
 PAPER, OBSERVER = CONFIGS / "paper.toml", CONFIGS / "observer.toml"
 NARROW = "--xla_cpu_max_isa=AVX2 --xla_cpu_prefer_vector_width=256"
-"""What holds XLA on vectors of 8 floats."""
+"""XLA options for vectors of 8 floats."""
 CHECKED_AGENTS = 100
 """Random parameter vectors that all contenders are checked on; more agents repeat them."""
 
 
 def use_devices(count: int, isa: str = "native") -> None:
-    """Run on `count` CPU devices and as many cores; to be called before JAX makes its first array.
+    """Run on `count` CPU devices and cores; to be called before JAX makes its first array.
 
-    The process is held on its cores, so that "one device" is one core's work throughout; and, with
-    "avx2", on vectors of 8 floats.
+    The process is pinned to its cores, so that "one device" always uses one core. With "avx2",
+    vectors have 8 floats.
     """
     given = f"{os.environ.get('XLA_FLAGS', '')} {NARROW if isa == 'avx2' else ''}"
     own = f"{given} --xla_force_host_platform_device_count={count}"
@@ -62,7 +62,7 @@ def use_devices(count: int, isa: str = "native") -> None:
 
 
 def task_of(dtype: str, scenarios: int = 1, agents: int = CHECKED_AGENTS) -> TuningProblem:
-    """The paper's experiment, made ready."""
+    """The paper's experiment as a tuning problem."""
     settings = [f"run.dtype={dtype}", f"run.training_scenarios={scenarios}"]
     settings += [f"search.agents={agents}"]
     with warnings.catch_warnings():
@@ -71,9 +71,9 @@ def task_of(dtype: str, scenarios: int = 1, agents: int = CHECKED_AGENTS) -> Tun
 
 
 def observer_task(*settings: str) -> TuningProblem:
-    """That of observer.toml in float32, made ready; `settings` change single values of it.
+    """The experiment of observer.toml in float32; `settings` change single values of it.
 
-    What is off by default is off: the contenders do not have it.
+    Settings that are off by default are off, because the contenders lack them.
     """
     few = "run.held_out_scenarios=1", "run.dtype=float32"
     few += "gain.unknown=off", "filter.bias_wait=off", "filter.length_growth=off"
@@ -104,12 +104,12 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
         and (section.substeps, section.law) == (1, "gradient")
         and one_landmark
     ):
-        raise ValueError("the other contenders know one landmark, one step and the gradient law")
+        raise ValueError("the other contenders have one landmark, one step and the gradient law")
     if task.space.schedules.rules != RULES or (e.fuzzy.centroid, e.fuzzy.no_rule) != (
         "exact",
         "hold",
     ):
-        raise ValueError("the other contenders know the paper's rules and the exact centroid")
+        raise ValueError("the other contenders have the paper's rules and the exact centroid")
     training = task.training
     sample, truth, begun = training.samples.sample, training.samples.truth, training.initial
     if truth is None or not isinstance(sample.vectors, Wahba):
@@ -158,7 +158,7 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
 
 
 def timed(run: Callable[[], object], seconds: float, least: int = 3) -> list[float]:
-    """Times of repeated calls [s], for about so many seconds."""
+    """Times of repeated calls [s], for about this many seconds."""
     times: list[float] = []
     while len(times) < least or sum(times) < seconds:
         begun = time.perf_counter()
@@ -204,7 +204,7 @@ def time_population(options: argparse.Namespace) -> dict[str, Any]:
         if options.against is not None:
             limit = _limit(task, vectors, options)
             off = np.abs(np.mean(limit(), axis=0) / costs - 1)
-            # Random starts up to half a turn off: where two ways back are equally near, rounding
+            # Random starts up to half a turn off: where both ways back are equally long, rounding
             # decides.
             found["c_difference"] = float(np.quantile(off, 0.9 if options.observer else 1.0))
         for _ in range(5):
@@ -222,7 +222,7 @@ def time_population(options: argparse.Namespace) -> dict[str, Any]:
 def _limit(
     task: TuningProblem, vectors: jax.Array, options: argparse.Namespace
 ) -> Callable[[], np.ndarray]:
-    """C's costs (S, A) of the same."""
+    """C's costs (S, A) of the same agents."""
     if options.observer:
         packed = learning.packed(task, vectors)
         return learning.prepare(packed, options.against, options.devices)
@@ -230,7 +230,7 @@ def _limit(
 
 
 def time_search(options: argparse.Namespace) -> dict[str, Any]:
-    """Time first calls, the paper's whole search, and the optimiser on a cost almost free."""
+    """Time first calls, the paper's whole search, and the optimiser with a nearly free cost."""
     begun = time.perf_counter()
     task = task_of("float32")
     vectors = parameter_vectors(task, CHECKED_AGENTS).block_until_ready()
@@ -267,7 +267,7 @@ def time_search(options: argparse.Namespace) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description="One measurement of posegsa.")
     actions = parser.add_subparsers(required=True)
-    scene = actions.add_parser("scene", help="write what all contenders compute")
+    scene = actions.add_parser("scene", help="write the input of all contenders")
     scene.add_argument("out", type=Path)
     scene.set_defaults(action=make_scene, devices=1, isa="native")
     population = actions.add_parser("time", help="one population")

@@ -1,4 +1,4 @@
-"""What every contender computes: scenarios and fuzzy terms as plain arrays (NumPy only).
+"""The common input of all contenders: scenarios and fuzzy terms as plain arrays (NumPy only).
 
 Made by posegsa (`posegsa_worker.py`), so that noise and parameters are the same for all; read
 without it, so that a contender may live in an environment of its own.
@@ -41,7 +41,7 @@ class Scene:
     landmark_body: np.ndarray
     """(S, N, 3) y, the one landmark as measured [m]."""
     landmark_inertial: np.ndarray
-    """(S, N, 3) p, where it is [m]."""
+    """(S, N, 3) p, its position [m]."""
     landmark_weight: np.ndarray
     """(S, N) its weight s."""
     true_attitude: np.ndarray
@@ -63,9 +63,9 @@ class Scene:
     gain_limit: float
     """c; 0 for no limit."""
     position_weight: float
-    """Of the error signal [1/m]."""
+    """Position weight of the error signal [1/m]."""
     smoothing: float
-    """Of the error signal [s]."""
+    """Smoothing time of the error signal [s]."""
     error_scale: float
     rate_scale: float
     initial_gain: float
@@ -97,9 +97,9 @@ class Scene:
         return self.smoothing / (self.smoothing + before)
 
     def part(self, start: int, samples: int, agents: int | None = None) -> "Scene":
-        """Samples from `start` on, of the first agents, begun at the true pose.
+        """Samples from `start` on, of the first agents, started at the true pose.
 
-        Far from the truth the gain limit decides the gain, and costs say nothing about the fuzzy
+        Far from the truth the gain limit decides the gain, and costs do not depend on the fuzzy
         controller; from the truth on, they do.
         """
         kept = {name: getattr(self, name)[:agents] for name in ("inputs", "outputs")}
@@ -120,7 +120,7 @@ class Scene:
         )
 
     def first(self, samples: int) -> "Scene":
-        """The first samples of it, from the estimate that it begins with."""
+        """The first samples, from the initial estimate."""
         begun = self.part(0, samples)
         return replace(begun, attitude=self.attitude, position=self.position)
 

@@ -12,9 +12,9 @@ _TERMS = ("VS", "S", "M", "L", "VL")
 
 
 def controller(inputs: np.ndarray, outputs: np.ndarray, points: int) -> Controller:
-    """A controller as scikit-fuzzy's own examples build one, on universes of so many points."""
+    """A controller as scikit-fuzzy's own examples build one, with `points` sample points."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # its own use of what NumPy deprecates
+        warnings.simplefilter("ignore")  # it uses deprecated parts of NumPy
         import skfuzzy
         from skfuzzy import control
 

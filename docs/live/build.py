@@ -36,7 +36,7 @@ def digest() -> str:
 
 
 def defines(experiment: posegsa.Experiment) -> list[str]:
-    """What filter.c is told about a filter: what it schedules."""
+    """Compiler definitions for filter.c: what the filter schedules."""
     chosen = experiment.filter
     if chosen.kind == "observer":
         return ["-DGAIN"]

@@ -1,7 +1,7 @@
 /* An exported filter for the live page: one WebAssembly module for each filter, all with the same
- * functions. Compiled for the machine itself it filters what it reads: the test compares the two.
+ * functions. Compiled natively, it filters standard input: the test compares the two.
  *
- * BELIEF, UNKNOWN or GAIN says what the filter schedules; none of them: nothing. */
+ * BELIEF, UNKNOWN or GAIN names what the filter schedules; without one it schedules nothing. */
 
 #include "posegsa.h"
 
@@ -80,7 +80,7 @@ int start(double w, double x, double y, double z, double east, double north, dou
     return code;
 }
 
-/* One sample, which is at `measurement`. */
+/* One sample, which has been written to `measurement`. */
 EXPORT("step")
 int step(double dt)
 {
@@ -107,7 +107,7 @@ int output_size(void) { return sizeof last / sizeof(double); }
 
 #include <stdio.h>
 
-/* Standard input: dt, the first pose, and each sample. Standard output: what comes out of each. */
+/* Standard input: dt, the first pose, and each sample. Standard output: the output of each. */
 int main(void)
 {
     double dt, p[7];

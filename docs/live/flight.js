@@ -52,7 +52,7 @@ export class Random {
   normals(n) {
     return Array.from({ length: n }, () => this.normal());
   }
-  /** A direction, all alike. */
+  /** A uniformly distributed direction. */
   direction() {
     const v = this.normals(3);
     return v.map((each) => each / norm(v));
@@ -96,7 +96,7 @@ function velocities(a, b, dt) {
 const PAUSE = 3; // s, between two bursts
 
 /**
- * The flight with its sensors. `added` holds what each axis' bias gets more, `sensors` whether each is
+ * The flight with its sensors. `added` is added to the bias of each axis, `sensors` says whether each is
  * "measured", "cut" or "disturbed"; both may be changed at any time.
  */
 export class Flight {

@@ -90,7 +90,7 @@ class Page {
     }
   }
 
-  /** Everything as at first, but for the chosen filter and its speed. */
+  /** Resets everything except the chosen filter and its speed. */
   reset() {
     this.run = new Run(world, this.filters, Number($("seed").value) >>> 0);
     this.run.step(1);

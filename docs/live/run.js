@@ -15,7 +15,7 @@ export class Run {
     this.startAt(0, 0);
   }
 
-  /** Starts each filter anew, turned from the truth by an angle [deg] and moved by a distance [m]. */
+  /** Restarts each filter, turned from the truth by an angle [deg] and moved by a distance [m]. */
   startAt(angle, distance) {
     const { attitude, position } = this.flight.truth;
     const turn = about(this.starts.direction(), (angle * Math.PI) / 180);

@@ -16,7 +16,7 @@ def add(commands) -> None:
         "they determine the pose, and the usual mistakes that they seem to have: units, axes, "
         "frames, order of quaternions, exchanged sensors, delays. Nothing is changed. The exit "
         "status is 1 if something was found, 2 if a recording can't be read; the others are "
-        "checked all the same.",
+        "still checked.",
     )
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
         try:
             (one,) = read([path], options.window, *bridged, landmark_outlier="off")
             found.append(check(one))
-        except MeasurementError as error:  # the others are checked all the same
+        except MeasurementError as error:  # the others are checked nevertheless
             say(f"posegsa: {error}")
             refused = True
             continue

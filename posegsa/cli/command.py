@@ -41,8 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if sys.stdout is None:  # closed before Python started
         print("posegsa: standard output is closed", file=sys.stderr)
         return 1
-    # Traced programs are millions of objects that stay: looking for garbage among them as often as
-    # Python does takes a tenth of the time of a short command.
+    # Traced programs are millions of long-lived objects: garbage collection as often as Python does
+    # # it by default takes a tenth of the time of a short command.
     gc.set_threshold(100_000, 50, 100)
     try:
         try:

@@ -50,7 +50,7 @@ def add(commands) -> None:
 
 
 def _names() -> str:
-    """The end of the help: the available optimisers and test functions."""
+    """The epilogue of the help: the available optimisers and test functions."""
     from posegsa.optimisers.functions import FUNCTIONS
     from posegsa.optimisers.registry import OPTIMISERS, USUAL
 

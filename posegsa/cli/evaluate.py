@@ -97,7 +97,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _judged(options: argparse.Namespace, result: "Result") -> "Result":
-    """The result with what the command asks for; prints it."""
+    """The result with the judgement that the command requests; prints it."""
     from posegsa import evaluating
 
     if options.recording is None:

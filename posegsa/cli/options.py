@@ -28,7 +28,7 @@ RECORDING = (
 )
 
 RECORDED = (".csv", ".npz", ".mat", ".bag", ".mcap", ".db3")
-"""How the names of recordings end."""
+"""Suffixes of the names of recordings."""
 
 
 def add_search_arguments(
@@ -74,14 +74,14 @@ def add_figures(parser: argparse.ArgumentParser) -> None:
 def add_filter(parser: argparse._ActionsContainer) -> None:
     """--filter, for a command that runs a filter of the user's own."""
     words = (
-        "your own filter, where filter.kind is own: its class in a module that Python finds from "
+        "your own filter, if filter.kind is own: its class in a module that Python finds from "
         "here (docs/own_filter.md)"
     )
     parser.add_argument("--filter", metavar="MODULE:CLASS", help=words)
 
 
 def own_filter(options: argparse.Namespace) -> "OwnFilter | None":
-    """What --filter names, imported; None without it.
+    """The object that --filter names, imported; None without it.
 
     Raises:
         ArgumentError: There is no such module, or nothing of that name in it.
@@ -92,7 +92,7 @@ def own_filter(options: argparse.Namespace) -> "OwnFilter | None":
     if not (module and name):
         raise ArgumentError(f"--filter {given}; allowed: MODULE:CLASS, such as my_filter:MyFilter")
     if "" not in sys.path:
-        sys.path.insert(0, "")  # as `python -m` has it: the folder of the command
+        sys.path.insert(0, "")  # the current folder, as for `python -m`
     try:
         return getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
@@ -104,7 +104,7 @@ def add_run(parser: argparse.ArgumentParser, *also: str) -> None:
 
     Args:
         parser: The command's parser.
-        also: What else RUN may be, in words.
+        also: Other things that RUN may be, in words.
     """
     words = (
         "folder of a finished run; or the name of a configuration (`posegsa configs`) or a TOML "
@@ -117,11 +117,11 @@ def add_run(parser: argparse.ArgumentParser, *also: str) -> None:
 
 
 def result_of(options: argparse.Namespace, recording: "Recording | None" = None) -> "Result":
-    """The tuned filter that RUN names: of a run's folder, or as configured.
+    """The tuned filter that RUN names: from a run's folder, or as configured.
 
     Args:
-        options: With RUN.
-        recording: Whose vectors and landmarks the filter knows; None for its own.
+        options: Parsed options with RUN.
+        recording: The filter knows the vectors and landmarks of this recording; None for its own.
 
     Raises:
         ArgumentError: --edited is given for a configuration.
@@ -184,7 +184,7 @@ def window(text: str) -> tuple[float, float]:
 
 
 def add_frame(parser: argparse._ActionsContainer) -> None:
-    """--frame, of the filter for inertial sensors."""
+    """--frame, for the filter for inertial sensors."""
     words = "only with imu: x, y and z of the inertial frame (default: ENU)"
     parser.add_argument("--frame", choices=tuple(UP), help=words)
 

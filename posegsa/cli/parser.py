@@ -17,10 +17,11 @@ class Parser(argparse.ArgumentParser):
     """
 
     late_epilog: Callable[[], str] | None = None
-    """Makes the end of the help. Called only when help is shown, because its imports are slow."""
+    """Makes the epilogue of the help. Called only when help is shown, because its imports are
+    slow."""
 
     def format_help(self) -> str:
-        """The help, with its end."""
+        """The help, followed by its epilogue."""
         if self.late_epilog is not None:
             self.epilog = self.late_epilog()
         return super().format_help()
@@ -35,7 +36,7 @@ class Parser(argparse.ArgumentParser):
         return found, unknown
 
     def error(self, message: str) -> NoReturn:
-        """Show usage and message, with the choice that is most like one that there is not."""
+        """Show usage and message, with the most similar choice if one is invalid."""
         if found := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
             message += meant(found[1], re.findall(r"[\w-]+", found[2]))
         super().error(message)

@@ -164,7 +164,7 @@ def _tell_noises(experiment: "config.Experiment") -> None:
 
 
 def _how_to_compare(options: argparse.Namespace, folder: str, kind: str) -> str:
-    """The command that compares a run on recordings with other filters, or what it needs."""
+    """The command that compares a run on recordings with other filters, or what it lacks."""
     inertial = kind == "imu"
     others = "VQF and others" if inertial else "the best constant gains and a Kalman filter"
     if options.held_out is None:

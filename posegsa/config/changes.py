@@ -35,11 +35,11 @@ def with_values(
     parameters = data["parameters"]
     filter_ = data.get("filter")
     if isinstance(filter_, dict) and filter_.get("kind") != filter_before.get("kind"):
-        # The numbers of one kind of filter mean nothing to another.
+        # The numbers of one kind of filter have no meaning for another.
         _leave_named(data, "filter", named)
         _leave_named(data, "tuned", named)
         if not _named("parameters.also", named):
-            # All values are present here, so it cannot be seen which ones the user set.
+            # All values are present here, so the ones that the user set are unknown.
             also = ALSO_OF_KIND.get(str(filter_.get("kind")), ())
             parameters["also"] = [one.model_dump(mode="json") for one in also]
     elif isinstance(filter_, dict) and filter_.get("schedule") != filter_before.get("schedule"):
@@ -55,9 +55,9 @@ def with_values(
             if not stated and tuple(parameters[key]) == fitted:
                 del parameters[key]
     if not _named("parameters.also", named):
-        # A number that is set is no longer tuned.
+        # A number that is set is not tuned any more.
         parameters["also"] = [one for one in parameters["also"] if not _named(one["key"], named)]
-        # Nor one of a schedule that is switched off.
+        # Nor is a number of a schedule that is switched off.
         if isinstance(filter_, dict):
             roles = ("unknown", "belief")
             gone = [role for role in roles if filter_.get(role) == "off" != filter_before.get(role)]
@@ -67,14 +67,14 @@ def with_values(
 
 
 def _leave_named(data: dict[str, Any], section: str, named: list[str]) -> None:
-    """Leave in a section only what the changes name, so that the rest has its default."""
+    """Remove all keys from a section that the changes do not name: they get their defaults."""
     if isinstance(table := data.get(section), dict):
         kept = {key: value for key, value in table.items() if _named(f"{section}.{key}", named)}
         data[section] = kept
 
 
 def _named(key: str, named: Iterable[str]) -> bool:
-    """Whether the changes name a key, what it is inside of, or something inside it."""
+    """Whether the changes name a key, a table that contains it, or a key inside it."""
     return any(f"{one}.".startswith(f"{key}.") or f"{key}.".startswith(f"{one}.") for one in named)
 
 

@@ -74,7 +74,7 @@ class RunConfig(Section):
     endurance_scenarios: Count = 16
     """Number of further scenarios, longer than those that the filter was tuned on."""
     endurance_times: Annotated[int, Field(strict=True, ge=1, le=1000)] = 8
-    """Their length as a multiple of the others; 1 means that they are not longer."""
+    """Duration of these as a multiple of the others'; 1 means that they are not longer."""
 
 
 class CostConfig(Section):
@@ -85,7 +85,7 @@ class CostConfig(Section):
     steady_weight: NonNegative = 1.0
     """Weight of the steady window's sum, no unit."""
     position_weight: NonNegative = 0.2
-    """Weight of the position error [m] beside the attitude error (0 to 1, no unit) [1/m]."""
+    """Weight of the position error [m] relative to the attitude error (0 to 1) [1/m]."""
     transient_window: Window = (0, 100)
     """First and last sample of the transient, both included (the paper: 0 to 1 s)."""
     steady_window: Window = (400, 5900)
@@ -107,12 +107,12 @@ class ObjectiveConfig(Section):
     """Only for tuning on recordings: the weight of simulated scenarios in the objective, no unit. 0
     simulates none; 0.5 weighs both groups equally, whatever their sizes."""
     least_gain: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
-    """Only on recordings, for a filter without a schedule: a search that lowers the cost by less
-    than this share of it leaves the numbers as they are configured, no unit."""
+    """Only on recordings, for a filter without a schedule: if a search lowers the cost by less than
+    this share of it, the numbers stay as configured, no unit."""
 
 
 class TunedConfig(Section):
-    """[tuned]: the numbers of the last tuning. The filter has them where it is not searched.
+    """[tuned]: the numbers of the last tuning. The filter has them if it is not searched.
 
     A search does not start from them, and replaces them in its result.
     """
@@ -129,13 +129,13 @@ class TunedConfig(Section):
 class CheckpointConfig(Section):
     """[checkpoint]: when a search with a folder saves its state; this does not change results.
 
-    A checkpoint is saved as soon as either interval is over, and at the end.
+    A checkpoint is saved when either interval has passed, and at the end.
     """
 
     iterations: Count = 100
     """Maximum number of iterations between checkpoints."""
     seconds: NonNegative = 10.0
-    """Maximum time between checkpoints [s], plus that of the running chunk of iterations."""
+    """Maximum time between checkpoints [s]; the running chunk of iterations is finished first."""
     keep: Annotated[int, Field(strict=True, ge=2, le=1000)] = 2
     """Number of latest checkpoints to keep; at least two, because one may be damaged."""
 
@@ -177,7 +177,7 @@ class Experiment(Section):
 
     @property
     def default_also(self) -> tuple[AlsoTuned, ...]:
-        """What is tuned where [parameters] does not say it, for this kind of filter."""
+        """The numbers tuned by default, without parameters.also, for this kind of filter."""
         return ALSO_OF_KIND.get(self.filter.kind, ())
 
     def _places(self) -> Places:
@@ -209,14 +209,15 @@ class Experiment(Section):
 
     @classmethod
     def with_or_without_tuned(cls, data: dict[str, Any], changed: Iterable[str]) -> Self:
-        """The experiment of changed data, without [tuned] where its numbers mean nothing any more.
+        """The experiment of changed data, without [tuned] if its numbers no longer fit.
 
         Args:
             data: Plain data of a whole experiment.
-            changed: Paths of what was changed: a [tuned] that is named there is kept, and refused.
+            changed: Paths of the changed values; a [tuned] that is among them is kept, and so may
+                be refused.
 
         Raises:
-            ValidationError: The data are no experiment.
+            ValidationError: The data are not an experiment.
         """
         try:
             return cls.model_validate(data)
@@ -229,7 +230,7 @@ class Experiment(Section):
                 raise error from None
 
     def _conflicts_of_bounds(self) -> Iterator[Violation]:
-        """Conflicts that arise with all further tuned numbers at their lower or upper bounds."""
+        """Conflicts that arise if all further tuned numbers are at their lower or upper bounds."""
         for name in ("lower", "upper") if self.also else ():
             values = {one.key: getattr(one, name) for one in self.also}
             data = with_numbers(self.model_dump(mode="json"), values)

@@ -26,9 +26,9 @@ class Occasions(Section):
     """Events that recur in each scenario."""
 
     rate: Rate = 0.05
-    """How often one starts while none is going on [1/s], at most once a second."""
+    """Rate at which events start while none is active [1/s], at most once a second."""
     duration: Range = (1.0, 5.0)
-    """How long one lasts [s], minimum and maximum."""
+    """Duration of an event [s], minimum and maximum."""
 
 
 class Outages(Occasions):
@@ -44,32 +44,32 @@ class BurstsConfig(Occasions):
     size: NonNegative | Range = 0.5
     """Length of the disturbance, in the sensor's unit; a range is its minimum and maximum."""
     each: Flag = False
-    """Whether each sensor has bursts of its own; else each burst is of one of them, at random."""
+    """Whether each sensor has bursts of its own; else each burst disturbs one sensor, at random."""
 
 
 class NoiseJumpsConfig(Section):
     """A factor on the noise of each sensor: 1 at the start, then one that jumps."""
 
     rate: Rate = 0.05
-    """How often it jumps [1/s], at most once a second, in each sensor by itself."""
+    """Rate of the jumps of each sensor's factor [1/s], at most once a second."""
     factor: Annotated[tuple[Positive, Positive], Ascending] = (0.5, 4.0)
-    """Minimum and maximum of the factor, no unit; its logarithm is uniform between theirs."""
+    """Minimum and maximum of the factor, drawn log-uniformly, no unit."""
 
 
 class InTurn(Section):
-    """Landmarks of which one at a time is in sight: the first, the second, ..., the first again."""
+    """Landmarks that are in sight one at a time: the first, the second, ..., the first again."""
 
     duration: Annotated[tuple[Turn, Turn], Ascending] = (1.0, 3.0)
-    """How long one is in sight [s], minimum and maximum."""
+    """Time that a landmark is in sight [s], minimum and maximum."""
     begin: NonNegative = 0.0
-    """When the first comes into sight [s]."""
+    """Time at which the first landmark comes into sight [s]."""
 
 
 class JumpsConfig(Section):
     """Displacements of the body between two samples, which the velocities do not measure."""
 
     rate: Rate = 0.01
-    """How often it jumps [1/s], at most once a second."""
+    """Rate of the jumps [1/s], at most once a second."""
     angle: Angles = (0.0, 90.0)
     """Angle about a random axis [deg], minimum and maximum."""
     distance: Range = (0.0, 3.0)
@@ -89,16 +89,17 @@ class FamilyConfig(Section):
     """Length of the initial position error P_est - R_err P in a random direction [m], minimum and
     maximum; "off" starts every scenario from scenario.initial_position_estimate."""
     bias_scale: Range | Off = "off"
-    """Factor on the biases of both velocities, no unit, minimum and maximum; on those below too."""
+    """Factor on the biases of both velocities, also on the drawn biases below, no unit, minimum and
+    maximum."""
     noise_scale: Range | Off = "off"
     """Factor on the noise of all sensors, no unit, minimum and maximum."""
     landmark_spread: NonNegative = 0.0
-    """Each coordinate of each landmark is moved by up to this much, inertial frame [m]."""
+    """Maximum shift of each coordinate of each landmark, drawn uniformly, inertial frame [m]."""
     motion_scale: Range | Off = "off"
     """Factor on the amplitudes of both velocities' sines, no unit, minimum and maximum."""
     angular_velocity_bias: NonNegative | Off = "off"
     """Standard deviation of each component of the angular velocity's bias, body frame [rad/s]; its
-    mean is 0, it replaces the bias of the scenario."""
+    mean is 0, and it replaces the bias of the scenario."""
     velocity_bias: NonNegative | Off = "off"
     """The same for the linear velocity [m/s]."""
     vector_bias: NonNegative | Off = "off"
@@ -117,9 +118,9 @@ class FamilyConfig(Section):
     landmark_bursts: BurstsConfig | Off = "off"
     """The same for landmarks [m]."""
     noise_jumps: NoiseJumpsConfig | Off = "off"
-    """Factors on the noise of each vector, each landmark and both velocities, which jump."""
+    """Jumps of the noise of each vector, each landmark and both velocities."""
     landmarks_in_turn: InTurn | Off = "off"
-    """Landmarks of which one at a time is in sight."""
+    """Landmarks that are in sight one at a time."""
     jumps: JumpsConfig | Off = "off"
     """Jumps of the body between two samples."""
     landmark_interval: Range | Off = "off"
@@ -131,4 +132,4 @@ class FamilyConfig(Section):
     duration: Range | Off = "off"
     """Time after which a scenario no longer counts [s]."""
     random_phase: Flag = True
-    """Whether the phase of each sine of both velocities is drawn anew, uniformly."""
+    """Whether the phase of each sine of both velocities is drawn uniformly for each scenario."""

@@ -19,8 +19,9 @@ ScheduleKind = Literal["fuzzy", "constant", "smooth"]
 """What sets the observer's gain."""
 
 NoiseScheduleKind = Literal["off", "fuzzy", "constant", "smooth", "ramp", "clock"]
-"""What changes a noise of the Kalman filter: nothing; the controller of k1..k22; a constant; a
-smooth or a straight function of the error; or the time since the start."""
+"""The schedule that changes a noise of the Kalman filter: none; the controller of k1..k22; a
+constant; a smooth or a straight function of the error; or a function of the time since the
+start."""
 AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
 
 SCHEDULE_NUMBERS: Mapping[str, Mapping[str, int]] = {
@@ -57,7 +58,7 @@ class ObserverConfig(Section):
     `gamma` is its value at K = 10/s."""
     bias_bound: Annotated[tuple[Positive, Positive] | Literal["off"], Tunable()] = "off"
     """Maximum lengths of the estimated biases of angular and linear velocity [rad/s, m/s], such as
-    from data sheets, or "off" for none. They keep the estimate from running away if measurements
+    from data sheets, or "off" for none. They keep the estimate from diverging if measurements
     stop before it has converged; an estimate far beyond its bound is reset to 0."""
     length: Annotated[Positive, Tunable("law", "gradient")] = 1.0
     """Unit of length [m], which weighs attitude against position in the gain. About the distance of
@@ -68,7 +69,7 @@ class ObserverConfig(Section):
     bias_wait: Annotated[Positive | Literal["off"], Tunable()] = "off"
     """The error signal, before it is smoothed and scaled, at which the gains of all bias laws are
     half; above it they vanish with the fourth power. While the pose is far off, they would take its
-    error for a bias. "off" means they do not wait."""
+    error for a bias. "off" means that they do not depend on it."""
     gain_limit: Annotated[Positive | Literal["off"], Tunable()] = 1.5
     """Maximum step of the innovation, K L dt / substeps with L the curvature of its cost, no unit;
     steps above 2 are unstable. "off" means no limit."""
@@ -91,8 +92,9 @@ class ObserverConfig(Section):
     vector_bias_bound: Annotated[Positive, _OF_VECTOR_BIAS] = 0.5
     """Maximum length of an estimated bias, in the vector's unit."""
     excitation: Annotated[Positive, _OF_VECTOR_BIAS] = 0.3
-    """Angular velocity [rad/s] above which all of vector_bias_gain is used. Below it the gain falls
-    with the fourth power, because at rest a bias is indistinguishable from an attitude error."""
+    """Angular velocity [rad/s] above which vector_bias_gain is used in full. Below it the gain
+    falls with the fourth power, because at rest a bias is indistinguishable from an attitude
+    error."""
     excitation_time: Annotated[NonNegative, _OF_VECTOR_BIAS] = 1.0
     """Time constant of the low-pass filter of that angular velocity [s]."""
 
@@ -109,9 +111,9 @@ Scales = Annotated[tuple[Positive, ...], Field(max_length=64)]
 class KalmanConfig(Section):
     """[filter]: the invariant extended Kalman filter.
 
-    The numbers are what it believes of its sensors and of its start: standard deviations, and
-    densities of white noise. A noise of standard deviation s in each sample of length dt has the
-    density s sqrt(dt). By default they are those of the default scenario's sensors.
+    The numbers are the noises that it assumes of its sensors and its start: standard deviations,
+    and densities of white noise. A noise of standard deviation s in each sample of length dt has
+    the density s sqrt(dt). By default they are those of the default scenario's sensors.
     """
 
     kind: Literal["kalman"] = "kalman"
@@ -135,7 +137,7 @@ class KalmanConfig(Section):
     vector_scales: Scales = ()
     """Noise of each vector, in order, as a multiple of `vector`; 1 for those not listed."""
     landmark_scales: Scales = ()
-    """The same of landmarks and `landmark`."""
+    """The same for landmarks, as a multiple of `landmark`."""
     initial_attitude: Annotated[Positive, Tunable()] = 1.0
     """Initial attitude error about each axis [rad]."""
     initial_position: Annotated[Positive, Tunable()] = 3.0
@@ -147,38 +149,40 @@ class KalmanConfig(Section):
     initial_vector_bias: Annotated[Positive, _OF_VECTOR_BIAS] = 0.1
     """Initial error of each component of the vectors' biases, in their unit."""
     angular_lead: Annotated[float, Field(strict=True, ge=0, le=100), Tunable()] = 0.0
-    """How many time steps the angular velocity is extrapolated: 0 if it is the mean over the step
-    after its time stamp, 0.5 if it was measured at the stamp, 1 if it is the mean over the step
-    before; a delay of L seconds adds L over the time step."""
+    """By how many time steps the angular velocity is extrapolated: 0 if it is the mean over the
+    step after its time stamp, 0.5 if it was measured at the stamp, 1 if it is the mean over the
+    step before; a delay of L seconds adds L over the time step."""
     linear_lead: Annotated[float, Field(strict=True, ge=0, le=100), Tunable()] = 0.0
-    """The same of the linear velocity."""
+    """The same for the linear velocity."""
     iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
-    """How often the measurements of a sample are linearised."""
+    """How many times the measurements of a sample are linearised, each time at the new estimate."""
     moves_covariance: Flag = False
     """Whether the covariance is moved to the coordinates of the new estimate after an update, which
     is better after a wrong start and less safe in float32."""
 
     unknown: NoiseScheduleKind = "off"
-    """What multiplies the densities of the velocities' noise and the walk of the vectors' biases,
-    by the filter's measured error: the residuals in standard deviations of the sensors' noise."""
+    """The schedule that multiplies the densities of the velocities' noise and the walk of the
+    vectors' biases. Its input is the filter's measured error: the residuals in standard deviations
+    of the sensors' noise."""
     unknown_smoothing: Annotated[NonNegative, _OF_UNKNOWN] = 0.02
     """Time constant of the low-pass filter of that error [s]."""
     unknown_scale: Annotated[AboveOne, _OF_UNKNOWN] = 100.0
-    """That error at which the schedule's input is 1, no unit; the input is logarithmic."""
+    """The error at which the schedule's input is 1, no unit; the input is logarithmic."""
     unknown_rate_scale: Annotated[NonNegative, _OF_UNKNOWN] = 0.1
     """Factor on the change of the schedule's input [s]."""
     unknown_largest: Annotated[AboveOne, _OF_UNKNOWN] = 1000.0
     """Largest factor on the densities, no unit; the factor is logarithmic in the output."""
     belief: NoiseScheduleKind = "off"
-    """What multiplies the variance of each vector and each landmark, by that sensor's normalised
-    squared residual: one schedule for the vectors and one for the landmarks."""
+    """The schedule that multiplies the variance of each vector and each landmark; its input is that
+    sensor's normalised squared residual. There is one for the vectors and one for the landmarks."""
     belief_input: BeliefInput = "residual"
-    """What that schedule sees: the "residual", normalised; or the "variance" that it speaks for, as
-    a multiple of the sensor's own, which is Sage and Husa's estimate of it. Both low-passed."""
+    """The input of that schedule: the normalised squared "residual"; or the "variance" that it
+    implies, as a multiple of the sensor's own variance (the estimate of Sage and Husa). Both are
+    low-passed."""
     belief_smoothing: Annotated[NonNegative, _OF_BELIEF] = 0.1
     """Time constant of the low-pass filter of that residual [s]."""
     belief_scale: Annotated[AboveOne, _OF_BELIEF] = 1e6
-    """That residual at which the schedule's input is 1, no unit; the input is logarithmic."""
+    """The input before scaling at which the schedule's input is 1, no unit; it is logarithmic."""
     belief_rate_scale: Annotated[NonNegative, _OF_BELIEF] = 0.1
     """Factor on the change of the schedule's input [s]."""
     belief_largest: Annotated[AboveOne, _OF_BELIEF] = 1e6
@@ -211,9 +215,9 @@ class AttitudeConfig(Section):
     angular_velocity: Annotated[Positive, Tunable()] = 0.0011
     """Density of the gyroscope's noise [rad/sqrt(s)]."""
     turning: Annotated[NonNegative, Tunable()] = 0.001
-    """More of it while the body turns, as a share of the angular velocity [sqrt(s)]."""
+    """Additional gyroscope noise, in proportion to the angular velocity [sqrt(s)]."""
     turning_heading: Annotated[NonNegative, Tunable()] = 0.0017
-    """More of it for the heading alone, as a share of the angular velocity [sqrt(s)]."""
+    """Additional noise of the heading alone, in proportion to the angular velocity [sqrt(s)]."""
     angular_walk: Annotated[Positive, Tunable()] = 0.00012
     """Random walk of the gyroscope's bias [rad/s/sqrt(s)]."""
     heading: Annotated[Positive, Tunable()] = 0.058
@@ -227,11 +231,12 @@ class AttitudeConfig(Section):
     field_memory: Annotated[Positive, Tunable()] = 3.6
     """Time over which its horizontal and vertical part are averaged, while the body turns [s]."""
     disbelieved: Annotated[Positive, Tunable()] = 0.042
-    """Share at which the means follow a field that is not believed, no unit."""
+    """Share of their normal rate at which the means follow a field that is not believed, no
+    unit."""
     iron_time: Annotated[Positive, Tunable()] = 22.0
     """Time constant with which iron that turns with the body is learnt [s]."""
     magnetometer_delay: Annotated[NonNegative, Tunable()] = 0.011
-    """By how much the magnetometer is later than the gyroscope [s]."""
+    """Delay of the magnetometer behind the gyroscope [s]."""
     rest_bias: Annotated[Positive, Tunable()] = 0.0011
     """Noise density of the gyroscope at rest, as a measurement of its bias [rad/s sqrt(s)]."""
     initial_bias: Annotated[Positive, Tunable()] = 0.0038
@@ -294,7 +299,7 @@ SIGNAL_ALSO = tuple(
     AlsoTuned(key=f"filter.{role}_smoothing", lower=0.005, upper=2.0, scale="logarithmic")
     for role in ("unknown", "belief")
 )
-"""What is tuned by default beside them where they are scheduled."""
+"""The numbers that are tuned by default in addition to the noises if these are scheduled."""
 IMU_ALSO = tuple(
     AlsoTuned(key=f"filter.{name}", lower=lower, upper=upper, scale="logarithmic")
     for name, lower, upper in (
@@ -315,4 +320,4 @@ ALSO_OF_KIND: Mapping[str, tuple[AlsoTuned, ...]] = {
     "kalman": (*KALMAN_ALSO, *SIGNAL_ALSO),
     "imu": IMU_ALSO,
 }
-"""What is tuned by default, by kind of filter; of a user's own nothing is."""
+"""The numbers that are tuned by default, by kind of filter; none for a user's own filter."""

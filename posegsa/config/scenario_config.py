@@ -56,7 +56,7 @@ class Vector(Section):
     period: Count = 1
     """Samples from one measurement to the next."""
     begin: NonNegative = 0.0
-    """Time from which on it is measured [s]."""
+    """Time of the first measurement [s]."""
 
     @field_validator("direction")
     @classmethod
@@ -135,10 +135,10 @@ class ScenarioConfig(Section):
     """Samples from one measurement of the landmarks to the next."""
 
     start: Literal["given", "sensors", "rest"] = "given"
-    """Where the estimate starts: "given", at the initial estimate below, or the wrong one that the
-    family draws; "sensors", at the pose that fits the first sample whose vectors and landmarks fix
-    one; "rest", there too, with the velocities' means over the following second as their biases.
-    Before that sample nothing is estimated and nothing counts."""
+    """Where the estimate starts: "given", at the initial estimate below, or at the wrong one that
+    the family draws; "sensors", at the pose that fits the first sample whose vectors and landmarks
+    determine one; "rest", at that pose, with the velocities' means over the following second as
+    their biases. Before that sample nothing is estimated and nothing counts in the cost."""
     initial_rotation: Matrix3 = _IDENTITY
     """True attitude R(0), body to inertial frame, by rows, no unit."""
     initial_position: Vector3 = (0.0, 0.0, 0.0)
@@ -221,8 +221,8 @@ class ScenarioConfig(Section):
 
 
 def _near_rotation(matrix: np.ndarray, within: float) -> bool:
-    """Whether a matrix is a rotation, up to a stretch of this much along any axis."""
-    if np.max(np.abs(matrix)) > 1 + within:  # before larger numbers overflow
+    """Whether a matrix is a rotation, with singular values within this distance of 1."""
+    if np.max(np.abs(matrix)) > 1 + within:  # larger numbers would overflow below
         return False
     stretch = np.linalg.svd(matrix, compute_uv=False)
     return bool(np.max(np.abs(stretch - 1)) <= within and np.linalg.det(matrix) > 0)

@@ -118,23 +118,25 @@ class GainConfig(Section):
     """How e is computed: "measured", from the vectors and landmarks, as a vehicle can do it, or
     "pose", from the true errors of attitude and position (an oracle, for simulation only)."""
     position_weight: Annotated[NonNegative, Tunable()] = 0.2
-    """Weight of the position part [m] beside the attitude part (0 to 1, no unit) in e [1/m]."""
+    """Weight of the position part [m] relative to the attitude part (0 to 1) in e [1/m]."""
     smoothing: Annotated[NonNegative, Tunable()] = 1.5
     """Time constant of the first-order low-pass filter of e [s]; 0 means none."""
     error_scale: Annotated[Positive, Tunable()] = 0.3
     """Divisor of e before it is clipped to [0, 1], in the unit of e."""
     rate: Rate = "per_sample"
-    """The controller's second input: `|e_k - e_(k-1)|`, or this divided by the time between."""
+    """The controller's second input: `|e_k - e_(k-1)|`, or this divided by the time between the
+    samples."""
     rate_scale: Annotated[NonNegative, Tunable()] = 1.0
     """Factor on the rate (no unit, or [s]) before it is clipped to [0, 1]."""
     unknown: Annotated[Share | Literal["off"], Tunable()] = "off"
-    """What is unknown of the biases at the start, on the scale of the controller's input e, which
-    is at least this: so the gain stays high until the biases are learnt. "off": e is the error."""
+    """Unknown share of the biases at the start, on the scale of the controller's input e. e is at
+    least this share, so that the gain stays high until the biases are learnt. "off": e is the error
+    alone."""
     unknown_fall: Annotated[NonNegative, Tunable("unknown")] = 0.01
-    """How fast that falls while vectors and landmarks are measured: by this times the gain K [1/s],
-    times the factor of `filter.bias_wait`."""
+    """How fast the unknown share falls while vectors and landmarks are measured: its rate is this
+    times the gain K [1/s] and the factor of `filter.bias_wait`."""
     unknown_rise: Annotated[Share, Tunable("unknown")] = 0.5
-    """The share of the scaled error below which it does not fall."""
+    """Lower limit of the unknown share, as a factor on the scaled error."""
 
 
 class FuzzyConfig(Section):
@@ -156,7 +158,8 @@ class FuzzyConfig(Section):
     coverage: Flag = True
     """Whether gaps between the input terms, where no rule fires, are closed."""
     overlap: NonNegative = 0.01
-    """Minimum overlap of neighbouring input terms after that, no unit (inputs are 0 to 1)."""
+    """Minimum overlap of neighbouring input terms after closing gaps, no unit (inputs are 0 to
+    1)."""
     offset: NonNegative = 1.0
     """Added to the centroid [1/s]: the gain is K = offset + centroid; 1 in the paper."""
     rules: Annotated[Rules | Literal["searched"], BeforeValidator(_rules)] = PAPER_RULES
@@ -203,7 +206,7 @@ class ParametersConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _fit_the_boxes(cls, values: Any) -> Any:
-        """Fit bounds that are not given to a gain range that is."""
+        """Fit the bounds to the gain range, if only the range is given."""
         if not isinstance(values, Mapping) or "gain_range" not in values:
             return values
         try:

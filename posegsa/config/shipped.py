@@ -18,8 +18,8 @@ def find(name: str, *, files: bool = False) -> Path:
     """The file of a configuration.
 
     Args:
-        name: That of the configuration.
-        files: Whether the caller takes files too, for the error.
+        name: The name of the configuration.
+        files: Whether the caller accepts files too; only for the error message.
 
     Raises:
         ConfigError: There is no configuration with that name.

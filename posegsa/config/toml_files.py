@@ -52,7 +52,7 @@ def as_experiment(value: Experiment | str | Path | None) -> Experiment:
     """The experiment for an argument: itself, from a TOML file, or for None recommended.toml.
 
     Raises:
-        ArgumentError: It is something else.
+        ArgumentError: It is of another type.
         ConfigError: The file cannot be read, is not TOML or is not a valid experiment.
     """
     if value is None:

@@ -37,7 +37,7 @@ class _Place(NamedTuple):
     index: int | None
 
     def refusal(self, value: float) -> str | None:
-        """Why the section refuses a value there; None if it is allowed."""
+        """Why the section refuses a value for this number; None if it is allowed."""
         given: Any = value
         if self.index is not None:
             given = list(getattr(self.section, self.field))
@@ -51,7 +51,7 @@ class _Place(NamedTuple):
 
 
 Places = Mapping[str, _Place]
-"""Where the numbers of a configuration that can be tuned are, by key."""
+"""Locations of the tunable numbers of a configuration, by key."""
 
 
 def tunable(experiment: Section) -> dict[str, _Place]:

@@ -13,7 +13,7 @@ from posegsa.model.fuzzy import Centroid, FuzzyController, NoRule
 
 READERS = {".fis": from_fis, ".fll": from_fll}
 MAX_BYTES = 2**20
-"""Largest file that is read."""
+"""Maximum size of a file: 1 MiB."""
 
 
 def load_controller(
@@ -22,7 +22,7 @@ def load_controller(
     """Read a `.fis` (MATLAB) or `.fll` (fuzzylite) file with the structure of our controller.
 
     The structure: two inputs named error and rate, from 0 to 1, with the same triangular terms; one
-    output, whose centroid is the gain less its offset (1 if it is named `gain_minus_1`); one rule
+    output, whose centroid is the gain minus its offset (1 if it is named `gain_minus_1`); one rule
     for each pair of terms, evaluated with min and max.
 
     Args:

@@ -74,10 +74,10 @@ class System(NamedTuple):
     error: Variable
     rate: Variable
     output: Variable
-    """In 1/s; the gain is the output plus the offset."""
+    """The output [1/s]; the gain is the output plus the offset."""
     rules: tuple[Rule, ...]
     offset: float
-    """The gain less the output [1/s]."""
+    """The gain minus the output [1/s]."""
     no_rule: NoRule | None
     """What happens where no rule fires; None if the file does not say."""
     points: int | None
@@ -124,7 +124,7 @@ def controller_of(system: System, *, no_rule: NoRule | None, centroid: Centroid)
     """The controller that a system describes.
 
     Args:
-        system: As read from a file.
+        system: A system that was read from a file.
         no_rule: What happens where no rule fires; None to follow the system.
         centroid: The controller's centroid.
 

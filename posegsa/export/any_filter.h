@@ -15,10 +15,11 @@
 {% endblock %}
 {% block init_about %}
 {% if start %}
-/* Begins a filter. attitude: quaternion of any length but 0; position [m], inertial frame. The
+/* Starts a filter. attitude: quaternion of any length but 0; position [m], inertial frame. The
  * covariance begins with standard deviations of {{ start.degrees }} deg about and {{ start.metres }} m along each axis: give a
- * pose that is off by no more than a few of these. The header has no start from the sensors; a pose
- * from the first vectors and landmark does. Returns POSEGSA_OK, or why the state is as it was. */
+ * pose whose error is at most a few of these. The header can't start from the sensors by itself; a
+ * pose computed from the first vectors and a landmark is good enough. Returns POSEGSA_OK, or an
+ * error code and does not change the state. */
 {% else %}
 {{ super() -}}
 {% endif %}

@@ -1,8 +1,8 @@
-"""Any filter's step as C: its own functions are traced whole, and its state becomes a struct.
+"""Any filter's step as C: its functions are traced as a whole, and its state becomes a struct.
 
-The struct has the estimate under the same names for every filter. What else the state holds comes
-after it, named after its path in the state. Numbers that the state and the estimate share are
-stored once; what an estimate computes of its state is computed after each step.
+The struct has the estimate under the same names for every filter. The other numbers of the state
+follow, named after their paths in the state. Numbers that the state and the estimate share are
+stored once; numbers that the estimate computes from the state are computed after each step.
 """
 
 import math
@@ -59,7 +59,7 @@ _KNOWN_FIELDS = {
         "field": "mean magnetic field to the east, north and up",
         "iron": "mean field that turns with the body, body frame",
         "field_belief": "how far the field is believed, 0 to 1",
-        "still_time": f"for how long the body has been still [s]; it rests from {REST_TIME:g} on",
+        "still_time": f"how long it has been still [s]; from {REST_TIME:g} s on it is at rest",
     },
 }
 """What fields hold, by filter."""
@@ -67,12 +67,12 @@ _KNOWN_FIELDS = {
 
 @dataclass(frozen=True)
 class _Field:
-    """A number of the struct, or an array of them, beside the estimate."""
+    """A field of the struct that is not part of the estimate: a number or an array."""
 
     name: str
     about: str
     size: int
-    """How many numbers an array has; 0 if it is none."""
+    """Length of an array; 0 for a single number."""
 
     @property
     def declared(self) -> str:
@@ -87,10 +87,10 @@ class _Field:
 def any_filter(
     filter: Filter, vectors: ArrayLike | None, landmarks: ArrayLike | None
 ) -> dict[str, Any]:
-    """The values of `any_filter.h`.
+    """The values for the template `any_filter.h`.
 
     Args:
-        filter: No `Observer`.
+        filter: Any filter except an `Observer`.
         vectors: (n, 3) v_i^I, inertial frame, in the unit of their sensor.
         landmarks: (m, 3) p_i, inertial frame [m].
 
@@ -185,7 +185,7 @@ class _Step:
                 what = f"an array of shape {leaf.shape}" if leaf.shape else f"of type {leaf.dtype}"
                 refuse(
                     f"filter: its state's {_words(path)} is {what}",
-                    "real scalars (a counter too is a real number), in tuples where they are many",
+                    "real scalars (a counter must be real too), in tuples if there are several",
                 )
 
     def _check_estimate(self, estimate: Any) -> None:
@@ -203,9 +203,10 @@ class _Step:
     def _laid_out(
         self, state: Any, estimate: list[str]
     ) -> tuple[list[_Field], list[str], list[str | None]]:
-        """The fields beside the estimate, and the text that each number of the state has in C.
+        """Other fields than the estimate, and the text that each number of the state has in C.
 
-        The third are the numbers of the estimate that are not in the state, and None for others.
+        The third result holds the numbers of the estimate that are not in the state, None for
+        others.
         """
         paths = [path for path, _ in jax.tree_util.tree_leaves_with_path(state)]
         own = [f"state_{i}" for i in range(len(paths))]
@@ -237,7 +238,7 @@ class _Step:
         return jax.tree.unflatten(self._filter_structure, given).ready()
 
     def _written(self, sample: Sample) -> dict[str, Piece]:
-        """The C of start and step; each ends with what the estimate computes of the state."""
+        """The C of start and step; each ends with what the estimate computes from the state."""
 
         def start(given: Any, attitude: Any, place: Any, zero: Any) -> Any:
             initial = _initial(zero, zero)._replace(attitude=attitude, place=place)
@@ -278,7 +279,7 @@ def _in_a_known_frame(sample: Sample, known: References) -> Sample:
 
 
 def _with_written_schedule(filter: KalmanFilter) -> KalmanFilter:
-    """The filter with schedules whose numbers stand in the code."""
+    """The filter with schedules whose numbers are literals in the code."""
     roles = (
         None if schedule is None else _WrittenSchedule(schedule) for schedule in filter.schedule
     )
@@ -287,7 +288,7 @@ def _with_written_schedule(filter: KalmanFilter) -> KalmanFilter:
 
 @jax.tree_util.register_static
 class _WrittenSchedule:
-    """A schedule of scalars alone, prepared in double precision; none of them is a named number."""
+    """A schedule of scalars, prepared in double precision; in C its numbers are literals."""
 
     def __init__(self, schedule: GainSchedule) -> None:
         if isinstance(schedule, KnotGain):
@@ -311,7 +312,7 @@ class _WrittenSchedule:
 
 
 def _lines(schedule: KnotGain) -> list[tuple[float, float, float]]:
-    """Where each piece of a clock begins [s], log K there, and its slope; the last is flat."""
+    """Start [s], log K there and slope of each piece of a `KnotGain`; the last is constant."""
     time, log_gain = (np.asarray(a, np.float64) for a in (schedule.time, schedule.log_gain))
     steps = np.diff(time)
     slopes = np.append(np.diff(log_gain) / np.where(steps > 0, steps, np.inf), 0.0)
@@ -319,7 +320,7 @@ def _lines(schedule: KnotGain) -> list[tuple[float, float, float]]:
 
 
 def _gain_at(lines: list[tuple[float, float, float]], inputs: ScheduleInputs) -> Gains:
-    """`KnotGain` without its table, which no scalar arithmetic can look up."""
+    """`KnotGain` without its table, because scalar arithmetic can't look numbers up."""
     log_gain = jnp.full_like(inputs.time, lines[0][1])
     for begin, first, slope in lines:
         log_gain = choose(inputs.time < begin, log_gain, first + slope * (inputs.time - begin))
@@ -358,7 +359,7 @@ def _shapes(tree: Any) -> Any:
 
 
 def _words(path: Any) -> str:
-    """A path in a pytree for a reader: `covariance[0][1]`."""
+    """A path in a pytree as text: `covariance[0][1]`."""
     return jax.tree_util.keystr(path).lstrip(".") or "only number"
 
 
@@ -381,7 +382,7 @@ def _named_numbers(filter: Filter) -> list[tuple[Known, str]]:
             what = f"an array of shape {value.shape}" if value.ndim else f"of type {value.dtype}"
             refuse(
                 f"filter: its {_words(path)} is {what}",
-                "one made of real scalars (what is no number is static)",
+                "one made of real scalars (fields that are not numbers must be static)",
             )
         name = re.sub(r"\W+", "_", _words(path)).strip("_")
         while name in taken:
@@ -409,7 +410,7 @@ def _references(filter: Filter, v: np.ndarray, p: np.ndarray) -> tuple[Reference
         sample = filter.prepare(measured)
     allowed = (
         "what posegsa.model.sample.prepare makes with VectorSettings(each_agent=True); what is "
-        "computed of it belongs into the step"
+        "computed from it belongs in the step"
     )
     if not isinstance(sample, Sample):
         refuse(f"filter.prepare: it returns a {type(sample).__name__}", allowed)
@@ -435,7 +436,7 @@ def _references(filter: Filter, v: np.ndarray, p: np.ndarray) -> tuple[Reference
     same = jax.tree.structure(of_measurement) == jax.tree.structure(expected)
     pairs = zip(jax.tree.leaves(of_measurement), jax.tree.leaves(expected), strict=True)
     if not same or not all(np.allclose(a, b, rtol=1e-12, atol=0) for a, b in pairs):
-        refuse("filter.prepare: it changes what was measured", allowed)
+        refuse("filter.prepare: it changes the measured values", allowed)
     return References(vectors=v, directions=directions, landmarks=p), bool(directions[-1].any())
 
 

@@ -90,7 +90,7 @@ def export_c_gain(result: Result, name: str = NAME) -> str:
 
 
 def controller_values(controller: FuzzyController) -> dict[str, object]:
-    """The values of `controller.c` for a controller."""
+    """The values for the template `controller.c`."""
     low, high = map(float, controller.output_range)
     return {
         "centroid": f"centroid_{controller.centroid}.c",
@@ -147,7 +147,7 @@ def signal_in_words(result: Result) -> list[str]:
 
 
 def _unknown(result: Result) -> list[str]:
-    """How the error tells what is unknown of the biases, if it does."""
+    """How the unknown share of the biases raises the error, if it does."""
     gain, used = result.tuned.gain, result.tuned.filter
     if gain.unknown == "off":
         return []

@@ -5,9 +5,9 @@ part, and `export.scalar_c` prints the traces as C. So every law, signal and sch
 the Python filter computes it, and a change of the model changes the export.
 
 The step is traced in parts because one trace of all of it has 2300 operations: half are fuzzy rules
-without tables, and each sub-step is a copy. Instead, a loop calls one function for each sub-step,
-and the controller is written by hand with its tables (`controller.c`). Checks of the input, missing
-measurements and return codes are written by hand too (`filter.h`).
+written out without tables, and each sub-step is repeated. Instead, a loop calls one function for
+each sub-step, and the controller is written by hand with its tables (`controller.c`). Checks of the
+input, missing measurements and return codes are written by hand too (`filter.h`).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -133,7 +133,7 @@ def filter_to_c(
 def _observer(
     filter: Observer, vectors: ArrayLike | None, landmarks: ArrayLike | None
 ) -> dict[str, Any]:
-    """The values of `observer.h`."""
+    """The values for the template `observer.h`."""
     schedule, settings, signal = filter.schedule, filter.settings, filter.signal
     if schedule is None:
         refuse("filter.schedule: None", "a gain schedule")
@@ -207,7 +207,7 @@ def _limits(values: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def _knots(schedule: KnotGain) -> dict[str, object]:
-    """The values of `knots.c` for a `KnotGain`."""
+    """The values for the template `knots.c`."""
     time, log_gain = (np.asarray(a, np.float64) for a in (schedule.time, schedule.log_gain))
     fits = time.ndim == 1 and time.shape == log_gain.shape and time.size > 0
     if not (fits and np.isfinite([time, log_gain]).all() and (np.diff(time) > 0).all()):

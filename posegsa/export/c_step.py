@@ -62,14 +62,14 @@ _NUMBERS = {
     "vector_bias.gain": ("", "gamma_c, gain of the vectors' bias law at K = 10/s [1/s]"),
     "vector_bias.leak": ("", "rate at which a vector's bias is forgotten [1/s]"),
     "vector_bias.per_bound": ("", "1 / bound^2; bound: maximum length of a vector's bias"),
-    "vector_bias.per_turning": ("", "1 / w_0^4, w_0 [rad/s]: from this rate gamma_c is full"),
+    "vector_bias.per_turning": ("", "1 / w_0^4, w_0 [rad/s]: above it gamma_c is full"),
     "vector_bias.excitation_time": ("", "time constant of that rate's low-pass filter [s]"),
     "position_weight": ("", "weight of the position part of the error [1/m]"),
     "smoothing": ("", "time constant of the error's low-pass filter [s]"),
     "error_scale": ("", "the error at which the scaled error is 1"),
     "rate_scale": ("", "factor on the change of the error"),
-    "unknown.fall": ("", "how fast the unknown falls, by K dt"),
-    "unknown.rise": ("", "the share of the scaled error that the unknown is at least"),
+    "unknown.fall": ("", "how fast the unknown share of the biases falls, per K dt"),
+    "unknown.rise": ("", "lower limit of the unknown share, as a factor on the scaled error"),
     "vectors.weights": ("weight_of_vector", "s_i of each vector"),
     "landmark_weights": ("weight_of_landmark", "s_i of each landmark [1/m^2]"),
 }
@@ -151,7 +151,7 @@ class Piece:
 
     @classmethod
     def of(cls, name: str, about: str, code: Code) -> "Piece":
-        """The function of these statements."""
+        """The function with these statements."""
         about = f"{about[0].upper()}{about[1:]}."
         return cls(name=name, about=about, code=code, body=code.text(4))
 
@@ -221,7 +221,7 @@ class Step:
         self._piece(*names, see, (now, sample, settings), _wanted(seen))
         memory = self._memory("now")
         self._piece(
-            *("signal", "the error signal: how well the estimate fits the sample, smoothed"),
+            *("signal", "the error signal: the low-passed misfit of the estimate and the sample"),
             _signal,
             (now, sample, seen, memory, self._signal, settings),
             (
@@ -283,7 +283,7 @@ class Step:
             )
         if self.unknown:
             self._piece(
-                *("know", "what is still unknown of the biases after the sample"),
+                *("know", "the unknown share of the biases after the sample"),
                 _still_unknown,
                 (self._memory("next"), sample, seen, "w->used", self._signal, self._share),
                 ("next->unknown",),
@@ -366,13 +366,13 @@ class Step:
 def sample_of(
     vectors: int, landmarks: int, *, crossed: bool, velocity: Any, farthest: str
 ) -> Sample:
-    """A sample whose numbers are C's: of the measurement `seen`, of the tables of references.
+    """A sample whose numbers are C expressions, of the measurement `seen` and the reference tables.
 
     Args:
-        vectors: How many are measured.
-        landmarks: Likewise.
+        vectors: Number of measured vectors.
+        landmarks: Number of measured landmarks.
         crossed: Whether the cross product of two vectors is used.
-        velocity: As C has it.
+        velocity: The velocity in C.
         farthest: The variable with the square of the distance to the farthest landmark [m^2].
     """
     return Sample(
@@ -436,7 +436,7 @@ def _still_unknown(
     settings: SignalSettings,
     share: Any,
 ) -> tuple[Any]:
-    """What is unknown of the biases after the sample."""
+    """The unknown share of the biases after the sample."""
     passed = learning_time(sample, used, share)
     return (still_unknown(memory, seen, passed, settings).unknown,)
 
@@ -463,12 +463,12 @@ def _scalar(argument: str | float) -> Any:
 
 
 def numbered(array: str, count: int) -> Any:
-    """So many numbers of an array of C."""
+    """The first `count` numbers of a C array."""
     return tuple(f"{array}[{i}]" for i in range(count))
 
 
 def vec3(array: str) -> Any:
-    """The three numbers of an array of C."""
+    """The three numbers of a C array."""
     return f"{array}[0]", f"{array}[1]", f"{array}[2]"
 
 
@@ -483,9 +483,9 @@ def constants(
     """The constants that a step uses, as `static const`.
 
     Args:
-        pieces: Its functions.
-        named: Its numbers with their comments.
-        known: Its references.
+        pieces: The functions of the step.
+        named: The numbers of the filter with their comments.
+        known: The references of its sensors.
     """
     codes = [piece.code for piece in pieces]
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 wrapped = partial(textwrap.wrap, width=96, break_long_words=False, break_on_hyphens=False)
-"""Lines of a comment's text."""
+"""Wraps text into the lines of a comment."""
 
 NAME = "posegsa"
 """Prefix of the names in the templates, and in a file by default."""
@@ -136,7 +136,7 @@ def origin(result: Result) -> list[str]:
 
 
 def whose_sensors(result: Result) -> list[str]:
-    """Whose vectors and landmarks a filter knows."""
+    """Where the vectors and landmarks that a filter knows come from."""
     if result.filter.kind == "imu":
         return []
     if result.knows_scenario:

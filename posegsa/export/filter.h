@@ -35,8 +35,8 @@
  *
  * WHAT IS MISSING AND WHAT IS WRONG
 {% block missing %}
- * A weight of 0 says that a vector or a landmark was not measured: its numbers are then not looked
- * at, and may be NaN. So does a vector of length 0. Any other number that is NaN, or beyond the
+ * A weight of 0 marks a vector or a landmark as missing: its numbers are then ignored, and may be
+ * NaN. So does a vector of length 0. Any other number that is NaN, or beyond the
  * limits below, is refused with POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would
  * not be finite, or whose quaternion would not have length 1, is refused with POSEGSA_NOT_FINITE. A
  * refused sample leaves the state as it was: let the next dt cover its time too. Pointers must be
@@ -137,8 +137,8 @@ typedef struct posegsa_state {
 /* ---- Functions ----------------------------------------------------------------------------- */
 
 {% block init_about %}
-/* Begins a filter. attitude: quaternion of any length but 0; position [m], inertial frame. Returns
- * POSEGSA_OK, or why the state is as it was. */
+/* Starts a filter. attitude: quaternion of any length but 0; position [m], inertial frame. Returns
+ * POSEGSA_OK, or an error code and does not change the state. */
 {% endblock %}
 static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude[4]{{ "" if attitude_only else ",
                                const posegsa_real position[3]" }});

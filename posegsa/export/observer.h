@@ -1,8 +1,8 @@
 {% extends 'filter.h' %}
 
 {% block missing %}
- * A weight of 0 says that a vector or a landmark was not measured: its numbers are then not looked
- * at, and may be NaN. So does a vector of length 0. A part of the error that is not measured keeps
+ * A weight of 0 marks a vector or a landmark as missing: its numbers are then ignored, and may be
+ * NaN. So does a vector of length 0. A part of the error that is not measured keeps
  * its last value. Any other number that is NaN, or beyond the limits below, is refused with
  * POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would not be finite, or whose
  * quaternion would not have length 1, is refused with POSEGSA_NOT_FINITE. A refused sample leaves
@@ -22,7 +22,7 @@
     posegsa_real error;           /* the schedule's input, smoothed, before it is scaled */
     posegsa_real since_last;      /* dt of the last sample [s]; infinite before the first */
 {% if unknown %}
-    posegsa_real unknown;         /* what is unknown of the biases, 0 to 1 */
+    posegsa_real unknown;         /* unknown share of the biases, 0 to 1 */
 {% endif %}
 {% if uses_time %}
     posegsa_real time;            /* since the first sample [s] */

@@ -92,12 +92,12 @@ def written(
 
 
 def wanted_of(results: Any, values: list[Value], shape: Any) -> list[tuple[str, Value]]:
-    """The variables to set, and to which values.
+    """The variables to set, each with its value.
 
     Args:
         results: As for `written`.
         values: The results of the function.
-        shape: The records that they stand in.
+        shape: The records that hold them.
     """
     # None marks a result that is not wanted; it counts as a leaf here, so that the pairs match.
     wanted, _ = jax.tree.flatten(results, is_leaf=lambda leaf: leaf is None)
@@ -119,10 +119,10 @@ class Writer:
         """Finds what the results need.
 
         Args:
-            results: What is to be set, and to which values.
-            single: Numbers in float32, by the identity of that in float64, where they differ.
-            names: Of the inputs, where this is the body of a loop.
-            count: How often a name was given already, in what this stands within.
+            results: The variables to set, each with its value.
+            single: Numbers that differ in float32, by the identity of their value in float64.
+            names: Names of the inputs, if this is the body of a loop.
+            count: How often each name has been used already in the enclosing code.
         """
         self._results, self._single = results, single or {}
         self._uses: dict[int, int] = {}
@@ -181,7 +181,7 @@ class Writer:
         return Code(tuple(statements), frozenset(self._functions))
 
     def _kept(self) -> list[str]:
-        """Copies of the arguments that a result is set to after they have got another value."""
+        """Copies of arguments that a result is set to after they have been overwritten."""
         statements, set_already = [], set[str]()
         for name, value in self._results:
             text, _ = self._text(value)
@@ -206,7 +206,7 @@ class Writer:
         return f"{base}_{self._count[base]}"
 
     def _loop(self, value: Value, operation: Operation) -> list[str]:
-        """The statements of a loop, after which its variables hold what it has carried."""
+        """The statements of a loop, after which its variables hold the last carried values."""
         loop, of = operation.loop, operation.of
         assert loop is not None
         needed, index, statements = self._needed[id(value)], self._numbered("turn"), list[str]()
@@ -244,17 +244,17 @@ class Writer:
         return statements
 
     def _carry(self, loop: Loop, of: tuple[Value, ...], places: list[int]) -> list[str]:
-        """Variables for what a loop carries, with their first values.
+        """Variables for the values that a loop carries, set to their initial values.
 
         Args:
             loop: The loop.
             of: Its operands.
-            places: Which of its inputs are carried, and needed.
+            places: Indices of the inputs that are both carried and needed.
         """
         statements = []
         for i in places:
             text, taken = self._text(of[i])[0], of[i].operation
-            # The variable of the loop before goes on where no one else needs it.
+            # The variable of the loop before is used again if nothing else needs it.
             if not (taken and taken.name == "carried" and self._uses[id(of[i])] == 1):
                 kind = "int" if loop.inputs[i].truth else "posegsa_real"
                 name = self._numbered("carried")
@@ -264,7 +264,7 @@ class Writer:
         return statements
 
     def _by_turn(self, row: Value, index: str) -> str:
-        """A row's element of a turn, if its elements are those of an array of C; "" otherwise."""
+        """A row's element at a loop index, if the row is an array in C; "" otherwise."""
         assert row.operation is not None
         texts = [self._text(one)[0] for one in row.operation.of]
         if any(one.operation for one in row.operation.of):
@@ -317,7 +317,7 @@ class Writer:
 def needed_inputs(results: list[Value]) -> dict[int, set[int]]:
     """Which inputs of each loop the results depend on, by the identity of the loop's value.
 
-    A loop may carry what no one wants after it, and what it carries may need some of its inputs.
+    A loop may carry values that are not used after it, and a carried value may need few inputs.
     """
     needed: dict[int, set[int]] = {}
     todo, done = list(results), set[int]()
@@ -350,7 +350,7 @@ def needed_inputs(results: list[Value]) -> dict[int, set[int]]:
                 for i, one in enumerate(loop.inputs)
                 if one.text == "" and one.number is None
             }
-            # What is carried there is an input too, also where no turn reads it.
+            # The initial value of a carried one is an input too, even if no turn reads it.
             todo.append(loop.inputs[loop.first + value.operation.place])
         elif value.operation is not None:
             todo += value.operation.of

@@ -1,11 +1,11 @@
-"""Scalar code in less text: numbers that are computed alike become arrays, and their code a loop.
+"""Scalar code in less text: numbers that are computed the same way become arrays in loops.
 
 A Kalman filter's covariance is traced as 171 scalars, and a measurement changes all of them in the
 same way. `scalar_c` would write a statement for each. Here, aligned results are traced back:
 
-1. Results that are elements of one array are a list. If all of a list's members are made by the
+1. Results that are elements of one array are a list. If all of a list's members are computed by the
    same operation, their first operands are a list again, and so on. A list whose members are used
-   several times becomes an array in C; others stand where they are used.
+   several times becomes an array in C; others are written in place.
 2. An array is computed as a whole, before what needs any part of it. (One that depends on itself
    stays scalars.)
 3. Neighbours whose statements differ only in an index that grows by 1 become one `for` loop.
@@ -25,14 +25,14 @@ from posegsa.export.scalar_c import Code, Writer, margin, wanted_of
 from posegsa.export.scalar_trace import Loop, Value, traced
 
 FEWEST = 8
-"""Members of a list that becomes an array."""
+"""Minimum number of members of a list that becomes an array."""
 _SHORTEST = 3
-"""Turns of a loop."""
+"""Minimum number of turns of a loop."""
 _INDEX = re.compile(r"\[(\d+)\]")
 _CARRIED = re.compile(r"x_\d+")
-"""Name of an array that a loop carries: short, as it is all over the text."""
+"""Name of an array that a loop carries: short, because it occurs so often in the text."""
 _LONGEST = 400
-"""Characters of an expression that stands where it is used."""
+"""Maximum number of characters of an expression that is written in place."""
 
 
 def written_in_loops(
@@ -64,7 +64,7 @@ class _Array:
     members: dict[int, Value]
     """By their index."""
     target: str = ""
-    """The array of the results that they are, at the same indices."""
+    """The array of results whose elements they are, at the same indices."""
 
     @property
     def size(self) -> int:
@@ -146,8 +146,8 @@ class _LoopWriter(Writer):
             for i, value in members.items():
                 assert value.operation is not None
                 alike.setdefault((value.operation.name, len(value.operation.of)), {})[i] = value
-            # Operands at the same place of operations of the same kind; those of several kinds
-            # too, as a covariance and a correction get the same gain.
+            # Operands at the same place of operations of one kind form a list; those of several
+            # kinds too, because a covariance and a correction use the same gain.
             widest = max((count for _, count in alike), default=0)
             for place in range(widest):
                 every = {
@@ -178,7 +178,7 @@ class _LoopWriter(Writer):
     def _ordered(self) -> "list[Value | _Array] | _Array":
         """Arrays and other values, each after its operands; or an array that needs itself."""
         order: list[Value | _Array] = []
-        state: dict[int, int] = {}  # 1 begun, 2 done
+        state: dict[int, int] = {}  # 1 started, 2 done
         for _, result in self._results:
             todo = [(self._unit(result), False)]
             while todo:
@@ -205,7 +205,7 @@ class _LoopWriter(Writer):
         return order
 
     def _one_of_circle(self, unit: "Value | _Array", todo: Any) -> _Array:
-        """The last array that was begun, on the way to a unit that is begun already."""
+        """The last array that was started, on the cycle back to a unit that is started already."""
         if isinstance(unit, _Array):
             return unit
         return next(one for one, done in reversed(todo) if done and isinstance(one, _Array))
@@ -241,7 +241,7 @@ class _LoopWriter(Writer):
         return None
 
     def _homes(self, values: Iterable[Value]) -> list[_Home]:
-        """The elements that values are made of; what stands where it is used is looked into."""
+        """The stored elements that values depend on, also through expressions written in place."""
         found, todo, done = [], list(values), set[int]()
         while todo:
             value = todo.pop()
@@ -256,7 +256,7 @@ class _LoopWriter(Writer):
         return found
 
     def _last_uses(self, order: "list[Value | _Array]") -> dict[Any, int]:
-        """When what is stored is used last, by its identity, or by the name of an array."""
+        """Index of the last use of each stored value, by its identity or its array's name."""
         last: dict[Any, int] = {}
         for at, unit in enumerate(order):
             if isinstance(unit, _Array) or (unit.operation and self._is_named(unit)):
@@ -291,7 +291,7 @@ class _LoopWriter(Writer):
         return statements
 
     def _changed(self, name: str, value: Value) -> str:
-        """The assignment of a value, shorter where it changes what is there by a sum."""
+        """The assignment of a value, with `+=` or `-=` if the old value is one operand."""
         operation = value.operation
         assert operation is not None
         if operation.name in ("add", "sub") and self._text(operation.of[0])[0] == name:
@@ -300,7 +300,7 @@ class _LoopWriter(Writer):
         return f"{name} = {self._text(value)[0]}"
 
     def _overwritten(self, array: _Array, at: int, last: dict[Any, int]) -> str:
-        """An array that these can be written over; "" if there is none."""
+        """The name of an array that this one can overwrite; "" if there is none."""
         found: dict[Any, tuple[str, bool]] = {}
         targets = {head for head, _, _ in self._results_at}
         for i, value in array.members.items():
@@ -341,7 +341,7 @@ class _LoopWriter(Writer):
         pairs = [(name, self._text(value)[0]) for name, value in self._results]
         pairs = [(name, text) for name, text in pairs if name != text]
         for head in dict.fromkeys(_element(name)[0] for name, _ in pairs):
-            # Where an element is read after it was set, all are copied before.
+            # If an element is read after it is set, all are copied first.
             done, early = set[str](), False
             for name, text in pairs:
                 early |= text in done
@@ -395,7 +395,7 @@ def _element(text: str) -> tuple[str, int]:
 
 
 def _once_each(group: dict[int, Value]) -> dict[int, Value]:
-    """The same list without repetitions, numbered anew if there were some."""
+    """The same list without repetitions, renumbered if there were some."""
     found = {id(value): value for value in group.values()}
     return group if len(found) == len(group) else dict(enumerate(found.values()))
 
@@ -437,7 +437,7 @@ _DEFINES = ("const posegsa_real ", "const int ", "posegsa_real ", "int ", "for "
 
 
 def _packed(code: Code) -> Code:
-    """The same in fewer lines: neighbours that define constants, or that assign, together."""
+    """The same code in fewer lines: neighbouring definitions, or assignments, share a line."""
     found: list[str] = []
     for statement in code.statements:
         before, body = found[-1] if found else "", statement.lstrip()
@@ -454,10 +454,10 @@ def _packed(code: Code) -> Code:
 
 
 def _numbers_of_float32(doubles: list[Value], singles: list[Value]) -> dict[int, float]:
-    """The numbers that are others in float32, by the identity of the value in float64.
+    """The numbers that differ in float32, by the identity of the value in float64.
 
-    Both are walked side by side, as far as they are the same operations: where a series has fewer
-    terms in float32, that of float64 serves both.
+    Both are walked side by side as long as their operations agree: where a series has fewer
+    terms in float32, the series of float64 serves both.
     """
     found: dict[int, float] = {}
     todo, done = list(zip(doubles, singles, strict=True)), set[tuple[int, int]]()

@@ -41,9 +41,9 @@ class Operation:
     origin: str = ""
     """The function of the model that it comes from."""
     loop: "Loop | None" = None
-    """Of an operation "loop"."""
+    """The loop of an operation "loop"."""
     place: int = 0
-    """Of an operation "carried": which of the values that the loop carries."""
+    """For an operation "carried": the index of the value among those that the loop carries."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Value:
     named: bool = False
     """Whether the code has the number's name, not its value."""
     truth: bool = False
-    """Whether an input of a loop's body is a truth, no real number."""
+    """Whether an input of a loop's body is a boolean instead of a real number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +69,9 @@ class Loop:
 
     turns: int
     inputs: tuple[Value, ...]
-    """What the body is made of: values that stay the same, carried ones, one's of each turn."""
+    """Inputs of the body: constant values, carried values, and each row's element of this turn."""
     first: int
-    """Index of the first carried input. Those before it stay the same."""
+    """Index of the first carried input. The inputs before it are constant."""
     results: tuple[Value, ...]
     """What the body hands on to the next turn, one for each carried input."""
     conditional: bool = False
@@ -79,7 +79,7 @@ class Loop:
 
     @property
     def last(self) -> int:
-        """Index after the last carried input. Those from it on have a value for each turn."""
+        """Index after the last carried input. Later inputs have a value for each turn."""
         return self.first + len(self.results)
 
 
@@ -128,10 +128,10 @@ class _Trace:
         return self._once(("number", exact), number=exact)
 
     def constants(self, values: Iterable[Any]) -> list[Value]:
-        """What a function has closed over, as numbers.
+        """The constants that a function closes over, as numbers.
 
         Raises:
-            ArgumentError: An array, an integer, or no number at all.
+            ArgumentError: One is an array, an integer, or not a number.
         """
         found = []
         for value in values:
@@ -145,7 +145,7 @@ class _Trace:
     def run(
         self, jaxpr: core.Jaxpr, values: Sequence[Value], constants: Sequence[Value] = ()
     ) -> list[Value]:
-        """The results of a jaxpr for these arguments and for what it has closed over."""
+        """The results of a jaxpr for these arguments and for the constants that it closes over."""
         at = dict(zip(jaxpr.constvars, constants, strict=True))
         at.update(zip(jaxpr.invars, values, strict=True))
 
@@ -172,7 +172,7 @@ class _Trace:
         return [read(var) for var in jaxpr.outvars]
 
     def _loop(self, equation: core.JaxprEqn, given: list[Value]) -> list[Value]:
-        """What comes out of a scan over rows of scalars."""
+        """The results of a scan over rows of scalars."""
         params = equation.params
         first, carried = params["num_consts"], params["num_carry"]
         if params["reverse"]:
@@ -185,7 +185,7 @@ class _Trace:
             _check_kind("scan", var)
             plain = i < first and operand.number is not None and not operand.named
             inputs.append(operand if plain else Value(truth=_is_truth(var)))
-        # Of its own: nothing in it is computed before the loop.
+        # A trace of its own: nothing in it is computed before the loop.
         trace = _Trace(self._dtype)
         results = trace.run(closed.jaxpr, inputs, trace.constants(closed.consts))
         results, stored = results[:carried], results[carried:]
@@ -386,7 +386,7 @@ def _is_truth(var: Any) -> bool:
 
 
 def _is_real(var: Any) -> bool:
-    """Likewise a real number."""
+    """Whether a variable of a jaxpr, or a number, is a real number."""
     return jnp.issubdtype(jnp.result_type(_type_of(var)), jnp.floating)
 
 
@@ -411,7 +411,7 @@ _NUMPY = {
 
 
 def passed_on(function: Callable[..., Any], arguments: tuple[Any, ...]) -> list[str | None]:
-    """Which variable each result of a function is, unchanged; None of what it computes.
+    """The variable that each result of a function is, unchanged; None for results that it computes.
 
     Args:
         function: as for `written`.

@@ -24,9 +24,9 @@ FORMULAS = {
     "smooth": "K = low + (high - low) e^2 / (e^2 + half^2) [1/s], e: the scaled error in [0, 1]",
     "switch": "K = before [1/s] until time [s], then K = after [1/s]",
     "open loop": "K = exp of log_gain [log 1/s] interpolated linearly over time [s]",
-    "kalman": "Invariant extended Kalman filter; its numbers stand in filter.",
-    "imu": "Attitude filter for inertial sensors; its numbers stand in filter.",
-    "own": "A filter of the user's own; its numbers stand in filter.",
+    "kalman": "Invariant extended Kalman filter; its numbers are in filter.",
+    "imu": "Attitude filter for inertial sensors; its numbers are in filter.",
+    "own": "A filter of the user's own; its numbers are in filter.",
 }
 """What each kind of filter is: of a schedule its formula, with the names of its numbers."""
 
@@ -129,7 +129,7 @@ def _surface(result: Result, resolution: int) -> tuple[np.ndarray, np.ndarray, n
 
 
 def costs(result: Result) -> dict[str, dict[str, Any]]:
-    """Costs of the tuned filter and of the one beside it, with 95 % intervals of the means.
+    """Costs of the tuned filter and of the one compared with it, with 95 % intervals of the means.
 
     By name; empty where the filter was not run on scenarios.
     """

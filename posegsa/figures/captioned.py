@@ -44,11 +44,11 @@ class ResultFigure:
 
 
 WHAT = {"unknown": "velocities' noise", "belief": "a sensor's variance"}
-"""What the controllers of a Kalman filter multiply, by their roles."""
+"""The noise that each controller of a Kalman filter multiplies, by its role."""
 
 
 def _parts(result: Result) -> dict[str, Any]:
-    """What figures show of a result, by the name of their argument."""
+    """The parts of a result that figures show, by the name of the figure's argument."""
     judged = result.on_scenarios
     parts: dict[str, Any] = {"history": None if result.search is None else result.search.history}
     parts["recorded"] = result.on_recordings

@@ -1,4 +1,4 @@
-"""The figure of a look at a recording: what each sensor differs from the truth by, over time."""
+"""The figure of a check of a recording: each sensor's difference from the truth over time."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LARGEST = 99.5
-"""Percentile of what is drawn that determines the range of an axis."""
+"""Percentile of the drawn values that determines the range of an axis."""
 
 
 @styled
 def plot_check(check: DataCheck) -> Figure:
-    """Components of each sensor's difference from what the truth predicts, over time [s].
+    """Components of each sensor's difference from its prediction by the truth, over time [s].
 
-    Without a truth, what the sensor measures. A recording of many samples is drawn in parts.
+    Without a truth, the measurements themselves. A recording of many samples is drawn in parts.
     """
     q = quantities(check.recording)
     drawn = [(one.sensor, one.unit, one.measured - one.expected) for one in predicted(q)]

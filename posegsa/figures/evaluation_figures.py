@@ -76,7 +76,7 @@ def angles_differ(evaluation: Evaluation) -> bool:
 def plot_costs(evaluation: Evaluation) -> Figure:
     """Cost of every contender on every held-out scenario, and mean paired differences.
 
-    Infinite costs are counted beside the name and left out of all but the mean.
+    Infinite costs are counted next to the name and left out of all but the mean.
     """
     found = evaluation.costs
     names = list(found)
@@ -194,7 +194,7 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
         return None
     figure, (ax,) = style.panels(1, 3.8)
     shown = []
-    # Not of a filter that starts from the sensors: its angle at the start is another.
+    # Not for a filter that starts from the sensors: its angle at the start is different.
     for name in (each for each in _drawn(evaluation) if each != UNTUNED):
         angle, cost = _metrics(evaluation, name).initial_angle, _metrics(evaluation, name).cost
         look, bad = _STYLES[name], ~np.isfinite(cost)
@@ -209,7 +209,7 @@ def plot_angles(evaluation: Evaluation) -> Figure | None:
             edge = ax.get_xaxis_transform()
             top = np.full(np.count_nonzero(bad), 0.99)
             ax.plot(angle[bad], top, marker="^", transform=edge, **points)
-        # In the legend with the marker of its scenarios.
+        # In the legend, the line has the marker of its scenarios.
         ax.plot([], [], label=label, linewidth=2, marker=_MARKERS[name], markersize=5, **look)
     style.scale_costs(ax, "y", np.concatenate(shown))
     ax.set(xlabel="Attitude error at the start [deg]", ylabel="Cost [-]")

@@ -1,4 +1,4 @@
-"""The figure of a filter on recordings: its errors over them, beside those of others."""
+"""The figure of a filter on recordings: its errors over time, with those of other filters."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def plot_recorded_errors(recorded: OnRecordings) -> Figure | None:
 
 
 def _looks(count: int) -> list[style.Style]:
-    """A look for each filter; the first one is the widest."""
+    """A line style for each filter; the first one is the widest."""
     each = [style.CURVES[i % len(style.CURVES)] for i in range(count)]
     return [look | {"linewidth": 2.2 if i == 0 else 1.2} for i, look in enumerate(each)]
 
 
 def _seconds(score: RecordingScore) -> float:
-    """How much of a recording is judged [s]."""
+    """Duration of the judged part of a recording [s]."""
     return score.duration * score.errors["judged"].samples / max(1, score.samples)
 
 

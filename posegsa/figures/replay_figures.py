@@ -75,7 +75,7 @@ def plot_position(replay: Replay) -> Figure | None:
 
 @styled
 def plot_gain(replay: Replay) -> Figure | None:
-    """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
+    """Gain [1/s] that the schedule requested, and after the gain limit, over time [s].
 
     The latter is drawn only where a vector or landmark is measured, because the limit depends on
     them. None if the gain is constant.

@@ -48,7 +48,7 @@ def plot_surface(controller: FuzzyController, output: str = GAIN) -> Figure:
 
     Args:
         controller: The controller.
-        output: What K is, with its unit; of a Kalman filter a factor on noises follows from it.
+        output: Label of K, with its unit; in a Kalman filter a factor on noises follows from K.
     """
     check_type("controller", controller, FuzzyController)
     figure, (ax,) = style.panels(1, 4.3)
@@ -140,7 +140,7 @@ def plot_output_terms(controller: FuzzyController, output: str = GAIN) -> Figure
 
     Args:
         controller: The controller.
-        output: What K is, as for `plot_surface`.
+        output: Label of K, as for `plot_surface`.
     """
     check_type("controller", controller, FuzzyController)
     gain = f"$K = {controller.offset:g} + $ centroid"

@@ -124,7 +124,7 @@ def legend_above(figure: Figure, ax: Axes) -> None:
 
 
 def colour_bar(figure: Figure, drawn: ScalarMappable, ax: Axes, label: str) -> Colorbar:
-    """A colour bar beside a panel."""
+    """A colour bar next to a panel."""
     bar = figure.colorbar(drawn, ax=ax, pad=0.025, fraction=0.03, aspect=30)
     bar.set_label(label)
     style_ticks(bar.ax)
@@ -213,7 +213,7 @@ def png(figure: Figure) -> bytes:
     file = io.BytesIO()
     with _look():  # `savefig` reads the settings too
         engine = figure.get_layout_engine()
-        if engine is not None:  # laid out here once; `savefig` would do it twice, and draw twice
+        if engine is not None:  # lay out once here; `savefig` would lay out and draw twice
             engine.execute(figure)
             figure.set_layout_engine("none")
         figure.savefig(file, format="png", dpi=DPI)

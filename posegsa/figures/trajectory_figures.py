@@ -62,7 +62,7 @@ def plot_errors(trajectory: Trajectory) -> Figure:
     "gain jumps between a few levels, the schedule acts as a switch.",
 )
 def plot_gain(trajectory: Trajectory) -> Figure | None:
-    """Gain [1/s] that the schedule asked for, and after the gain limit, over time [s].
+    """Gain [1/s] that the schedule requested, and after the gain limit, over time [s].
 
     The second panel enlarges the first second; a run shorter than two has the first panel only.
     None for a filter without a gain.

@@ -1,7 +1,7 @@
 """An attitude filter for gyroscope, accelerometer and magnetometer: a Kalman filter and two means.
 
 It reads two vectors as they are measured: the specific force a [m/s^2], which points up at rest,
-and the magnetic field m in any unit. Their references say what the inertial frame is: up, with the
+and the magnetic field m in any unit. Their references define the inertial frame: up, with the
 length of gravity, and magnetic north. The velocity of a sample and landmarks are not used.
 
 symbol | meaning                                      | here                       | unit, frame
@@ -14,11 +14,11 @@ Sigma  | covariance of theta, the error of b, and v   | `covariance`            
 f      | mean field of the earth                      | `field`                    | as m, I
 c      | mean field that turns with the body (iron)   | `iron`                     | as m, B
 
-I is the almost inertial frame of the estimate: it drifts with what is left of the bias, and all
+I is the almost inertial frame of the estimate: it drifts with the remaining bias error, and all
 means in it are turned with each correction.
 
-**Inclination.** No second sensor tells gravity from acceleration, but the velocity of a body stays
-within bounds: v integrates R a + gravity, and "v is 0, give or take" is the measurement. A wrong
+**Inclination.** No other sensor separates gravity from acceleration, but the velocity of a body
+stays within bounds: v integrates R a + gravity, and "v is 0, plus noise" is a measurement. A wrong
 inclination makes v grow at g theta. The stationary Kalman filter of this model is a low-pass filter
 of second order of the acceleration in an almost inertial frame, as in VQF (D. Laidig, T. Seel,
 "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
@@ -26,24 +26,24 @@ rejection", Information Fusion 91, 2023), the bias learnt from what it corrects.
 from the covariance, high at the start, when little is known, and low later.
 
 **Heading.** From one sample to the next m = R^T f + c - delay omega x R^T f is compared with what
-is measured: a magnetometer is some milliseconds slower than a gyroscope. f follows what turns with
-the earth, c what turns with the body, such as an attached magnet, and only while the body turns. f
-points north, or the heading is wrong. Iron nearby is seen by the horizontal and vertical part of
-the field, which do not depend on the attitude: their distance d from their own slow mean, as a
-share of its length, gives the belief 1 / (1 + (d / tolerance)^2), by which the field's information
-is multiplied. An inclination error tilts the field, which changes its heading by up to tan(dip)
-times as much: that too is added to the heading's variance.
+is measured: a magnetometer is some milliseconds slower than a gyroscope. f follows the part that is
+fixed to the earth, c that of the body, such as an attached magnet, and only while the body turns.
+If f does not point north, the heading is wrong. Iron nearby is detected by the horizontal and
+vertical part of the field, which do not depend on the attitude: their distance d from their own
+slow mean, as a share of its length, gives the belief 1 / (1 + (d / tolerance)^2), by which the
+field's information is multiplied. An inclination error tilts the field, which changes its heading
+by up to tan(dip) times as much: that too is added to the heading's variance.
 
 **Rest.** While gyroscope and accelerometer stay near their means over half a second (thresholds of
-VQF), the gyroscope measures its bias, and the velocity is 0 more precisely.
+VQF), the gyroscope measures its bias, and "v is 0" is measured with less noise.
 
 **Start.** The first acceleration turns the initial attitude upright, the first field to the north,
-by the smallest rotations that do; large variances then let both improve in seconds. Without a
+by the smallest rotations that do so; large variances then let both improve in seconds. Without a
 magnetometer the initial heading stays, and drifts.
 
-A gyroscope's value is the mean over the interval before its stamp, or after it
+A gyroscope sample is the mean over the interval before its time stamp, or after it
 (`gyroscope_interval`). If before, the estimate at the next sample is predicted by the last value,
-and the next step starts again from the last sample with the right one.
+and the next step starts again from the last sample with the right value.
 """
 
 import math
@@ -104,7 +104,7 @@ REST_VELOCITY = 0.05
 ACCELERATION = 0.03
 """Noise density of the accelerometer [m/s^2 sqrt(s)]."""
 REST_MEAN, REST_TIME = 0.5, 1.5
-"""Time constant of the means that rest is seen by, and how long they must have been near [s]."""
+"""Time constant of the means that detect rest, and how long the sensors must stay near them [s]."""
 REST_TURNING, REST_SHAKING = float(np.deg2rad(2.0)), 0.5
 """Largest distances from these means at rest [rad/s, m/s^2]."""
 LARGEST_BIAS = float(np.deg2rad(6.0))
@@ -114,7 +114,7 @@ FIELD_NOISE_TIME = 0.1
 LITTLE = 0.5
 """Angle between two samples [rad] up to which a short series gives the rotation."""
 ALL_TURNING = 0.5
-"""Angular velocity from which on a body shows its field from all sides [rad/s]."""
+"""Angular velocity from which on c, the field of the body, is followed at its full rate [rad/s]."""
 AS_MEASURED = VectorSettings(
     weights=None, cross_weight=0.0, normalise=False, cross=False, each_agent=True
 )
@@ -129,9 +129,9 @@ class AttitudeNumbers(NamedTuple):
     angular_velocity: Array
     """Density of the gyroscope's noise [rad/sqrt(s)]."""
     turning: Array
-    """More of it, as a share of the angular velocity [sqrt(s)]."""
+    """Additional gyroscope noise, in proportion to the angular velocity [sqrt(s)]."""
     turning_heading: Array
-    """More of it for the heading alone, as a share of the angular velocity [sqrt(s)]."""
+    """Additional noise of the heading alone, in proportion to the angular velocity [sqrt(s)]."""
     angular_walk: Array
     """Random walk of the gyroscope's bias [rad/s/sqrt(s)]."""
     heading: Array
@@ -146,11 +146,11 @@ class AttitudeNumbers(NamedTuple):
     """Time over which the field's horizontal and vertical part are averaged, while the body turns
     [s]."""
     disbelieved: Array
-    """Share at which the means follow a field that is not believed."""
+    """Share of their normal rate at which the means follow a field that is not believed."""
     iron_time: Array
     """Time constant of c while the body turns [s]."""
     magnetometer_delay: Array
-    """By how much the magnetometer is later than the gyroscope [s]."""
+    """Delay of the magnetometer behind the gyroscope [s]."""
     rest_bias: Array
     """Noise density of the gyroscope at rest, as a measurement of its bias [rad/s sqrt(s)]."""
     initial_bias: Array
@@ -193,7 +193,7 @@ class AttitudeState(NamedTuple):
     slow_force: Vec3
     """Mean of the accelerometer over REST_MEAN [m/s^2], body frame."""
     still_time: Array
-    """For how long both have been near these means [s]."""
+    """How long both sensors have been near these means [s]."""
 
     @property
     def at_rest(self) -> Array:
@@ -247,8 +247,8 @@ class AttitudeFilter:
     def start(self, initial: FilterState, sensors: Sensors) -> AttitudeState:
         """The state before the first sample.
 
-        The first acceleration and the first field correct the attitude of `initial`. What they do
-        not tell is kept: its bias, and its heading where there is no magnetometer.
+        The first acceleration and the first field correct the attitude of `initial`. What they
+        can't determine is kept: its bias, and its heading where there is no magnetometer.
 
         Raises:
             ArgumentError: There are other vectors than specific force and magnetic field, or
@@ -290,7 +290,7 @@ class AttitudeFilter:
         return state.estimate
 
     def step(self, state: AttitudeState, now: Samples) -> tuple[AttitudeState, Record]:
-        """One sample: what it tells, then the turn until the next one."""
+        """One sample: its corrections, then the rotation until the next one."""
         sample, numbers = now.sample, self.numbers
         assert isinstance(sample.vectors, VectorSamples)
         force, field_seen = sample.vectors.each
@@ -323,7 +323,7 @@ class AttitudeFilter:
         state = state._replace(upright=upright)
         state = self._with_field(state, R, omega, m, of_field, dt)
 
-        # Corrections, each of them one number.
+        # Corrections, each by a scalar measurement.
         correction = (jnp.zeros_like(dt),) * STATES
         found = state.covariance, correction
         spread = choose(rests, jnp.full_like(dt, REST_VELOCITY), numbers.velocity)
@@ -547,7 +547,7 @@ def _set(
 
 
 def _if(condition: Array, q: Quaternion) -> Quaternion:
-    """The rotation where the condition holds, else none."""
+    """The rotation q where the condition holds, else the identity."""
     w, x, y, z = q
     return (
         choose(condition, w, 1.0),
@@ -560,7 +560,7 @@ def _if(condition: Array, q: Quaternion) -> Quaternion:
 def _stillness(
     state: AttitudeState, gyr: Vec3, force: Vec3, factor: Array, dt: Array
 ) -> tuple[Array, Vec3, Vec3]:
-    """Whether a sample is one of rest, and the slow means of gyroscope and accelerometer."""
+    """Whether the body rests at a sample, and the slow means of gyroscope and accelerometer."""
     share = dt / (REST_MEAN + dt)
     begun = state.upright > 0
     of_turning = choose(begun, share, 1.0)

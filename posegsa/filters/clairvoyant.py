@@ -1,8 +1,8 @@
-"""The clairvoyant: a Kalman filter that is told what no filter can know. A reference, not a filter.
+"""The clairvoyant: a Kalman filter that knows what no real filter can know, as a reference.
 
-It starts from the true pose, with biases of 0 and their spread as standard deviations, and is told
+It starts from the true pose, with biases of 0 and their spread as standard deviations, and knows
 the noise of each sensor at each sample, each burst (it drops that measurement), each outage, and
-each jump of the body (its velocity holds the jump). What it costs, a filter can hardly cost less.
+each jump of the body (its velocity includes the jump). A real filter can hardly have a lower cost.
 
 It is the Kalman filter of `filters.kalman`. Its `noise` has the deviations of the start and the
 biases' walks; `vector` and `landmark` are 1, since the weights of its measurements are inverse
@@ -33,8 +33,8 @@ INSTANT = 1e-9
 """Time in which a jump happens [s]: long enough for float32, too short for a bias to act."""
 
 
-class Told(NamedTuple):
-    """What the clairvoyant is told of the velocities, by components (N,); in the loop, of one."""
+class KnownMotion(NamedTuple):
+    """What the clairvoyant knows about the motion, by components (N,), or of one sample."""
 
     angular_velocity: Array
     """Density of the angular velocity's noise [rad/sqrt(s)]."""
@@ -45,41 +45,41 @@ class Told(NamedTuple):
     None if the body never jumps."""
 
 
-class ToldSamples(NamedTuple):
-    """`Samples` with what the clairvoyant is told."""
+class ClairvoyantSamples(NamedTuple):
+    """`Samples` with what the clairvoyant knows besides."""
 
     time: Array
     sample: Sample
     truth: TruePose | None
-    told: Told
+    known: KnownMotion
 
 
 def with_events(samples: Samples, events: Events, *, jumps: bool) -> Samples:
-    """The clairvoyant's input: N samples, prepared of weighed measurements, with what it is told.
+    """The clairvoyant's input: samples of weighted measurements, and what it knows besides.
 
     Args:
-        samples: N samples, of `events.weighed(measurements)`.
-        events: of the same N samples.
-        jumps: whether the body ever jumps; else a step takes half as long.
+        samples: N samples, prepared from `events.weighted(measurements)`.
+        events: the events of the same N samples.
+        jumps: whether the body ever jumps; without jumps a step takes half as long.
     """
     root = jnp.sqrt(samples.sample.time_step)
     tx, ty, tz, x, y, z = unstack(events.jumps)
-    told = Told(
+    known = KnownMotion(
         angular_velocity=events.angular_noise * root,
         velocity=events.linear_noise * root,
         jump=((tx, ty, tz), (x, y, z)) if jumps else None,
     )
-    # The loop hands each sample on as it is; only this filter reads more of it.
-    return cast(Samples, ToldSamples(*samples, told))
+    # The loop passes each sample on unchanged; only this filter reads the additional field.
+    return cast(Samples, ClairvoyantSamples(*samples, known))
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Clairvoyant:
-    """The Kalman filter that is told everything (`filters.base.Filter`, of `with_events`)."""
+    """The Kalman filter that knows everything (`filters.base.Filter`, with input `with_events`)."""
 
     noise: KalmanNoise
-    """Deviations of the start and walks of the biases; `vector` and `landmark` are 1, the noises of
+    """Deviations at the start and walks of the biases; `vector` and `landmark` are 1, the noises of
     the velocities are not used."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
@@ -100,12 +100,14 @@ class Clairvoyant:
 
     def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
         """One sample: update, propagation by the velocities, and the jump, if there is one."""
-        told = cast(ToldSamples, now).told
-        noise = self.noise._replace(angular_velocity=told.angular_velocity, velocity=told.velocity)
+        known = cast(ClairvoyantSamples, now).known
+        noise = self.noise._replace(
+            angular_velocity=known.angular_velocity, velocity=known.velocity
+        )
         updated, found = update(state, now.sample, noise)
         moved = propagate(updated, None, now.sample, noise)
-        if told.jump is not None:
-            moved = _jumped(moved, now.sample, *told.jump)
+        if known.jump is not None:
+            moved = _jumped(moved, now.sample, *known.jump)
         return moved, Record(nis=found.nis, scalars=found.scalars)
 
     def estimate(self, state: KalmanState) -> FilterState:
@@ -120,7 +122,7 @@ class Clairvoyant:
 def _jumped(state: KalmanState, sample: Sample, turn: Vec3, displacement: Vec3) -> KalmanState:
     """The state after T <- T exp([turn; displacement]^), which is known exactly.
 
-    It is a propagation over an instant, with a velocity that is the jump's and has no error.
+    It is a propagation over an instant with the velocity of the jump, which has no error.
     """
     zero = jnp.zeros_like(sample.time_step)
     silent = KalmanNoise(*(zero for _ in KalmanNoise._fields))

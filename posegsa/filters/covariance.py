@@ -41,11 +41,11 @@ Row: TypeAlias = dict[int, Array | float]
 """A row of a sparse matrix: its nonzero entries by column."""
 
 SMALLEST_CUT = 128
-"""One scalar measurement leaves at least this many machine epsilons of a variance. Less than one
-epsilon, 1e-7 in float32, would leave only rounding errors of either sign."""
+"""One scalar measurement leaves at least this share of a variance, in machine epsilons. Less than
+one epsilon, 1e-7 in float32, would leave only rounding errors of either sign."""
 
 LONGEST_MOVE = 100.0
-"""The length [m] from which on a correction of the position moves the covariance less and less."""
+"""Length of a position correction above which its effect on the covariance is limited [m]."""
 
 POSE, ANGULAR, LINEAR, VECTORS = 0, 6, 9, 12
 """Index of the first state of the pose, of the velocities' biases and of the vectors' biases."""
@@ -134,7 +134,7 @@ def by_components(
 
 
 def next_vector_first(found: Found) -> Found:
-    """The same with the vectors' bias states rotated, so that the second vector comes first.
+    """The same with the vectors' bias states in rotated order: the second vector comes first.
 
     So the loop over vectors always finds the states of its vector in the same place; after the last
     vector they are back in their original order.
@@ -169,7 +169,8 @@ def _half_way(correction: Sequence[Array]) -> tuple[Quaternion, Vec3]:
     shift = rho[0], rho[1], rho[2]
     x, y, z = quarter = scale(0.25, (tx, ty, tz))
     w = 1 / jnp.sqrt(1 + dot(quarter, quarter))
-    # In float32 a leap of kilometres, from garbage, would leave only rounding of the covariance.
+    # In float32 a jump by kilometres, from garbage, would leave only rounding errors in the
+    # covariance.
     half = 0.5 / jnp.sqrt(1 + dot(shift, shift) / LONGEST_MOVE**2)
     return (w, w * x, w * y, w * z), scale(half, add(shift, cross(quarter, shift)))
 
@@ -209,7 +210,7 @@ def _less_bias(covariance: Covariance, factor: Array) -> Covariance:
     beside = [
         [entry(covariance, i, j) - factor * entry(covariance, ANGULAR + i, j) for j in every]
         for i in pose
-    ]  # the biases' columns are final, those of xi lack their own share
+    ]  # the biases' columns are complete, those of xi lack the bias's share
     return tuple(
         tuple(
             beside[i][j] - factor * beside[i][ANGULAR + j] if j < ANGULAR else beside[i][j]

@@ -162,7 +162,7 @@ class KalmanNoise(NamedTuple):
 
 
 class KalmanMemory(NamedTuple):
-    """What the schedules of the noises remember; () for a role that the filter has not."""
+    """The memory of the noise schedules; () for a role that the filter does not have."""
 
     unknown: NoiseMemory | tuple[()] = ()
     vectors: tuple[NoiseMemory, ...] = ()
@@ -175,11 +175,11 @@ class KalmanState(NamedTuple):
     """The estimate and its covariance, by components of any common batch shape."""
 
     estimate: FilterState
-    """Like the estimate of the observer; `turning` is ()."""
+    """As for the observer, with `turning` ()."""
     covariance: Covariance
     """Sigma of 12 states, or 12 + 3 n with the biases of n vectors."""
     memory: KalmanMemory = KalmanMemory()
-    """Of the schedules of its noises."""
+    """Memory of the noise schedules."""
     last: LastSample | tuple[()] = ()
     """The last velocities; () for a filter that does not extrapolate them."""
 
@@ -199,11 +199,11 @@ class KalmanFilter:
     vector_biases: bool = field(default=True, metadata={"static": True})
     """Whether the vectors' biases are states: 12 + 3 n of them for n vectors, else 12."""
     schedule: NoiseGains = NO_NOISE_GAINS
-    """What changes the noises while the filter runs; by default nothing."""
+    """The schedules that change the noises while the filter runs; by default none."""
     signals: NoiseSignals | None = None
-    """What the schedules see; None if there are none."""
+    """The input signals of the schedules; None if there are no schedules."""
     belief_input: BeliefInput = field(default="residual", metadata={"static": True})
-    """Which function of a sensor's residual belief sees (`Residual.normalised`)."""
+    """Which function of a sensor's residual is the input of belief (`Residual.normalised`)."""
     iterations: int = field(default=1, metadata={"static": True})
     """How often the measurements of a sample are linearised, each time at the estimate that the
     last time found (an iterated extended Kalman filter)."""
@@ -214,7 +214,7 @@ class KalmanFilter:
     vector_scales: tuple[float, ...] = field(default=(), metadata={"static": True})
     """Noise of each vector, in order, as a multiple of `noise.vector`; 1 for further ones."""
     landmark_scales: tuple[float, ...] = field(default=(), metadata={"static": True})
-    """The same of landmarks and `noise.landmark`."""
+    """The same for landmarks, as multiples of `noise.landmark`."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same filter with some numbers replaced.
@@ -315,7 +315,7 @@ class ReadyKalmanFilter(NamedTuple):
     moves_covariance: bool
     leads: Leads | None
     scales: tuple[tuple[float, ...], tuple[float, ...]]
-    """Of vectors and of landmarks."""
+    """Multiples of the noise of vectors and of landmarks."""
 
     def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
         """One sample: update by vectors and landmarks, then propagation by the velocities."""
@@ -422,7 +422,7 @@ def update(
     """The state after a sample's vectors and landmarks; missing measurements are skipped.
 
     The covariance is still in the coordinates before the last correction of the estimate, which is
-    returned beside it: `propagate` moves it together with its own transport, in one product. The
+    returned with it: `propagate` moves it together with its own transport, in one product. The
     innovations are those of the first linearisation, at the estimate before the sample.
 
     Args:

@@ -3,13 +3,13 @@
 A filter moves its pose over a time step by one velocity. That fits a velocity that is the mean over
 the step. One that was measured at its time stamp belongs to the beginning of the step, and moves
 the pose half a step late: 0.3 deg at 1 rad/s and 100 Hz. One that comes L seconds late, or is the
-mean over the step before, is later still. So each velocity goes on as it last changed,
+mean over the step before, is later still. So each velocity is extrapolated linearly,
 
     w_k + lead (w_k - w_k-1) min(1, dt_k / dt_k-1),
 
 with lead = 1/2 for a velocity at its stamp (the Adams-Bashforth method of second order), 1 for the
-mean over the step before, and L / dt more for a delay. Over many steps the changes add up to the
-last one: the pose gets the noise of `lead` samples more, not more at each sample.
+mean over the step before, and L / dt more for a delay. Over many steps the extrapolations cancel
+except for the last: the pose gets the additional noise of `lead` samples once, not at each sample.
 """
 
 from typing import NamedTuple
@@ -43,19 +43,19 @@ class LastSample(NamedTuple):
     linear: Vec3
     """[m/s]."""
     time_step: Array
-    """From it to this sample [s]; 0 before the first."""
+    """Time from the last sample to this one [s]; 0 before the first."""
 
 
 def no_sample(like: Array) -> LastSample:
-    """What is known before the first sample, of the shape and dtype of an array."""
+    """The record before the first sample, in the shape and dtype of an array."""
     zero = jnp.zeros_like(like)
     return LastSample((zero, zero, zero), (zero, zero, zero), zero)
 
 
 def extrapolated(sample: Sample, last: LastSample, leads: Leads) -> tuple[Sample, LastSample]:
-    """A sample with its velocities extrapolated, and what the next one needs of it.
+    """A sample with its velocities extrapolated, and the record that the next sample needs.
 
-    The first sample, which has none before it, is left as it is.
+    The first sample, which has no predecessor, is left unchanged.
     """
     known = last.time_step > 0
     before = choose(known, last.time_step, jnp.ones_like(last.time_step))

@@ -61,7 +61,7 @@ def with_biases(vectors: tuple[VectorSample, ...], estimate: FilterState) -> Any
 
 
 BeliefInput = Literal["residual", "variance"]
-"""What belief looks at: a sensor's normalised squared residual, or the variance it speaks for."""
+"""The input of belief: a sensor's normalised squared residual, or the variance that it implies."""
 
 
 class Residual(NamedTuple):
@@ -69,7 +69,7 @@ class Residual(NamedTuple):
 
     normalised: Array
     """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2, s the standard deviation of its
-    noise; 1 if the covariance is right. Or the variance that it speaks for, as a multiple of s^2:
+    noise; 1 if the covariance is right. Or the variance that it implies, as a multiple of s^2:
     (|z - y|^2 - tr(H Sigma H^T)) / (3 s^2), which can be negative."""
     factor: Array
     """Factor on its weight, 0 where it is missing."""
@@ -83,7 +83,7 @@ def residuals(
     landmark: Array,
     of: BeliefInput = "residual",
 ) -> tuple[Residual | None, Residual | None]:
-    """The residuals of vectors and of landmarks, before any of them is used; None without any.
+    """The residuals of vectors and of landmarks, before any is used; None if there are none.
 
     Args:
         estimate: before the sample, of the batch shape.
@@ -91,7 +91,7 @@ def residuals(
         sample: with its vectors as measured.
         vector: standard deviation of each component of a vector, in its unit.
         landmark: standard deviation of each coordinate of a landmark [m].
-        of: what `normalised` is: the "residual" over its expectation, or the "variance".
+        of: which `normalised` to compute: the "residual" over its expectation, or the "variance".
     """
     R, axes = rows(estimate.attitude), range(3)
     learnt = bool(estimate.vector_biases)
@@ -149,7 +149,7 @@ def measured_error(
 ) -> tuple[Array, Array]:
     """Root mean square residual in standard deviations of the noises, and whether there is one.
 
-    A sensor that is believed less, with a lower weight, counts as much less. The sums of a loop
+    A sensor that is believed less has a lower weight here too. The sums of a loop
     store nothing, so that they can be written as C.
 
     Args:

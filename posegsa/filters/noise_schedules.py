@@ -1,4 +1,4 @@
-"""Schedules that change the noises of a Kalman filter while it runs: whom to believe, and how far.
+"""Schedules that change a Kalman filter's noises while it runs, and so its belief in sensors.
 
 In two roles, each of which can be absent:
 
@@ -49,7 +49,7 @@ class NoiseMemory(NamedTuple):
     """What a schedule remembers of one input, from sample to sample."""
 
     value: Array
-    """The low-passed input; ignored before the first one."""
+    """The low-passed input; ignored before the first input."""
     error: Array
     """The last scaled error before it was clipped."""
     gain: Array
@@ -63,7 +63,7 @@ class NoiseSignals(NamedTuple):
 
     unknown: NoiseSignal
     belief: NoiseSignal
-    """Of all vectors and landmarks."""
+    """One signal for all vectors and landmarks."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same with some numbers replaced, by names such as "belief_smoothing"."""
@@ -80,7 +80,7 @@ SIGNAL_KEYS = tuple(f"{r}_{n}" for r in NoiseSignals._fields for n in NoiseSigna
 
 
 class NoiseGains(NamedTuple):
-    """The schedules by role; None for a role that the filter has not."""
+    """The schedules by role; None for a role that the filter does not have."""
 
     unknown: GainSchedule | None = None
     """On the velocities' noise and the walk of the vectors' biases: their standard deviations."""
@@ -121,14 +121,14 @@ def noise_factor(
     time: Array,
     time_step: Array,
 ) -> tuple[Array, NoiseMemory, ScheduleInputs]:
-    """The factor on a noise at a sample, the memory after it, and what the schedule saw.
+    """The factor on a noise at a sample, the memory after it, and the inputs of the schedule.
 
     Args:
-        schedule: Of this role.
-        signal: Of this role.
-        memory: After the last sample.
-        now: The input at this sample; what is low-passed to below 0 counts as 0.
-        seen: Whether there is one; without it all but the age stays as it is.
+        schedule: The schedule of this role.
+        signal: The signal of this role.
+        memory: The memory after the last sample.
+        now: The input at this sample; if its low-passed value is below 0 it counts as 0.
+        seen: Whether there is an input; without one only the age of the memory changes.
         time: Since the first sample [s].
         time_step: To the next sample [s].
     """

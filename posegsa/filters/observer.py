@@ -53,10 +53,10 @@ of gamma becomes gamma dt (1 + |y|^2 / l^2) <= K / 2. With l about d, attitude a
 equally fast. It is the same observer in another unit. With `length_growth` a the unit grows with
 the distance of the farthest measured landmark, l^2 = length^2 + a max |y_i|^2.
 
-Stability. Let f be the cost whose negative gradient is U. Without noise and with constant gamma,
-f + |b_err|^2 / (2 gamma) never increases. With a varying gamma that function serves while gamma
-increases, and gamma f + |b_err|^2 / 2 while it decreases. Together they suffice if log gamma has
-bounded variation, as it has for a gain that settles.
+Stability. Let f be the cost whose negative gradient is U. Without noise and with constant gamma, f
++ |b_err|^2 / (2 gamma) never increases. With a varying gamma that function does not increase while
+gamma increases, and gamma f + |b_err|^2 / 2 does not while it decreases. Together they suffice if
+log gamma has bounded variation, as it has for a gain that settles.
 
 Bounds of the biases. While the pose is far off, the bias laws learn biases that do not exist: with
 the high gain of a start at 100 degrees, b_est grows to many times any real bias, and recovers only

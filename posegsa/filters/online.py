@@ -176,7 +176,7 @@ class OnlineLoop:
 
 
 def _made_again(dtype: str, made_of: bytes) -> OnlineLoop:
-    """The loop from its pickled arguments."""
+    """The loop, rebuilt from its pickled arguments."""
     with jax.enable_x64(dtype == "float64"):
         return OnlineLoop(*pickle.loads(made_of))
 

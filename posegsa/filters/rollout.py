@@ -101,7 +101,7 @@ class ErrorTrack(NamedTuple):
         return jax.tree.map(lambda leaf: leaf[scenarios], self)
 
     def waiting(self, time: Array, begin: Array | None) -> "ErrorTrack":
-        """The errors with those of the start, at `begin` [s], at all samples before it.
+        """The errors, with those at `begin` [s], the start, at all samples before it.
 
         Before a start from the sensors nothing is estimated. `time` is (N,) [s]; None changes
         nothing.
@@ -123,26 +123,26 @@ class ErrorTrack(NamedTuple):
         return whole._replace(bias=parts[-1].bias, vector_bias=parts[-1].vector_bias)
 
     def _over_time(self, change: Callable[[Array], Array]) -> "ErrorTrack":
-        """With what has a value at each sample changed."""
+        """The same with a change applied to every field that has a value at each sample."""
         changed = jax.tree.map(change, self._replace(bias=(), vector_bias=()))
         return changed._replace(bias=self.bias, vector_bias=self.vector_bias)
 
 
 class View(NamedTuple):
-    """What there is to look at in a sample; what is not used of it costs nothing."""
+    """What `run` offers to `look` at each sample; what is not used costs nothing."""
 
     estimate: FilterState
-    """Before the sample."""
+    """The estimate before the sample."""
     covariance: PoseCovariance | None
-    """Of its pose; None for a filter without one."""
+    """The covariance of its pose; None for a filter without one."""
     record: Record
-    """Of the step."""
+    """The record of the step."""
     now: Samples
     """The sample itself."""
 
 
 Look = Callable[[Any, View, Any], tuple[Any, Any]]
-"""Maps the sum so far, what there is to look at in a sample, and its entry of `extra` to the new
+"""Maps the sum so far, the view of a sample, and the sample's entry of `extra` to the new
 sum and to the values stored for the sample."""
 
 
@@ -286,7 +286,7 @@ def _estimates(samples: Samples, stored: View) -> Estimates:
 
 
 def _nis(record: Record) -> Array | None:
-    """NIS over its degrees of freedom, of stored records."""
+    """NIS over its degrees of freedom, from stored records."""
     if record.nis is None or record.scalars is None:
         return None
     return jnp.where(record.scalars > 0, record.nis / jnp.maximum(record.scalars, 1), jnp.nan)
@@ -307,7 +307,7 @@ def simulate_errors_together(
     Args:
         filter: any filter.
         samples: S times N samples, with the truth.
-        states: of the filter before the first of them.
+        states: the filter's states before the first samples.
         count: number of samples to use; later ones change nothing, and their errors are
             meaningless. So sequences of any length can be padded and run by one program.
 

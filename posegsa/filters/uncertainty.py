@@ -1,7 +1,7 @@
-"""How uncertain a filter says that its pose is, and whether that is right.
+"""The uncertainty of the pose that a filter states, and whether it is right.
 
 The pose error is xi = [theta; rho] (rad, m) in the body frame, T = T_est exp(xi^). A filter that
-knows its covariance has a function `pose_covariance` beside `estimate` (`filters.base`).
+knows its covariance has a function `pose_covariance` in addition to `estimate` (`filters.base`).
 """
 
 from collections.abc import Sequence

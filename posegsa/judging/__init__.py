@@ -1,1 +1,1 @@
-"""What a schedule is worth: metrics, baselines, trust, and comparisons on unseen scenarios."""
+"""How good a filter is: metrics, baselines, checks, and comparisons on unseen scenarios."""

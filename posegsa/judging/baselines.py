@@ -1,8 +1,9 @@
-"""Baselines for a tuned filter: others, tuned on its training scenarios at its budget.
+"""Baselines for a tuned filter: other filters, tuned on its training scenarios at its budget.
 
 Each schedule is searched with the run's optimiser and its number of evaluations. Differential
-evolution replaces an optimiser that uses gradients or can't be compiled. Whatever was tuned beside
-k1..k22 is tuned for each baseline too, so it has the filter, signal and weights that suit it.
+evolution replaces an optimiser that uses gradients or can't be compiled. All numbers tuned in
+addition to k1..k22 are tuned for each baseline too, so it has the filter, signal and weights that
+suit it.
 """
 
 from collections.abc import Callable
@@ -67,7 +68,7 @@ def best_constant(problem: TuningProblem) -> Candidate:
 
 
 def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
-    """Search a kind of schedule, with whatever is tuned beside it, on the training scenarios."""
+    """Search a kind of schedule, and the numbers tuned with it, on the training scenarios."""
     experiment = searchable(problem.experiment)
     one = problem._replace(
         experiment=experiment,
@@ -114,16 +115,16 @@ def random_search(problem: TuningProblem) -> Candidate:
 
 
 class Baseline(NamedTuple):
-    """A filter that can stand beside a tuned one on the same scenarios."""
+    """A filter that can be compared with a tuned one on the same scenarios."""
 
     experiment: config.Experiment
-    """The experiment that it is a filter of."""
+    """The experiment that describes the filter."""
     search: Callable[[], Description]
-    """Finds it on the training scenarios."""
+    """Finds the filter on the training scenarios."""
 
 
 def baselines(problem: TuningProblem, tuned: Description) -> dict[str, Baseline]:
-    """The filters that can stand beside a tuned one, by name.
+    """The filters that can be compared with a tuned one, by name.
 
     Those that follow from the tuned filter (its numbers before the tuning, its gains replayed, a
     random search for it), gain schedules of the observer, and Kalman filters. The observer is that
@@ -174,7 +175,7 @@ _SCHEDULES = {CONSTANT: "constant", SWITCH: "switch", SMOOTH: "smooth", OPEN_LOO
 def experiments_beside(
     experiment: config.Experiment, tuned: Description
 ) -> dict[str, config.Experiment]:
-    """The experiments of the filters that can stand beside a tuned one, by name."""
+    """The experiments of the filters that can be compared with a tuned one, by name."""
     found = {}
     if tuned.kind in ("kalman", "own"):
         found[AS_CONFIGURED] = experiment

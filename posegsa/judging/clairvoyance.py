@@ -1,4 +1,4 @@
-"""What the clairvoyant costs: the reference beside filters on the same drawn scenarios."""
+"""Costs of the clairvoyant, the reference for filters on the same drawn scenarios."""
 
 from dataclasses import replace
 from functools import partial
@@ -38,7 +38,7 @@ def clairvoyant_costs(experiment: config.Experiment, keys: Array | None = None) 
 
     Args:
         experiment: its scenario, family and cost are used, its filter is not.
-        keys: (S,) of the scenarios, by default the held-out ones; the same keys give the same
+        keys: (S,) keys of the scenarios, by default the held-out ones; the same keys give the same
             scenarios in `scenario_batch`.
 
     Raises:
@@ -86,7 +86,7 @@ def _costs(
     keys: Array,
     start: str,
 ) -> Array:
-    """Costs (S,) for key data (S, 2); as many samples count as the weights have."""
+    """Costs (S,) for key data (S, 2), over as many samples as there are weights."""
     N = weights.transient.shape[0]
 
     def cost(key: Array) -> Array:
@@ -103,7 +103,7 @@ def _costs(
         walk = drawn.bias_drift
         filter = prior.with_values({"angular_walk": walk[0], "linear_walk": walk[3]})
         samples = samples_of(
-            filter, events.weighed(measured), truth.rotation, truth.position, truth.time
+            filter, events.weighted(measured), truth.rotation, truth.position, truth.time
         )
         samples = with_events(samples, events, jumps=bool(drawn.jumps.time.size))
         samples = jax.tree.map(lambda a: a[:N], samples)

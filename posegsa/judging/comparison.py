@@ -35,9 +35,9 @@ class Repeat(NamedTuple):
     evaluations: Annotated[list[_Positive], Field(min_length=1)]
     """(n,) evaluations after some or all iterations; a gradient counts at its price."""
     best: list[Cost]
-    """(n,) best cost so far, at each of these."""
+    """(n,) best cost so far after these evaluations."""
     times: list[NonNegative]
-    """(n,) seconds since the start of the search, at each of these."""
+    """(n,) seconds since the start of the search, after these evaluations."""
 
 
 class Gradients(NamedTuple):
@@ -70,7 +70,8 @@ class OptimiserComparison:
     budget: _Positive
     """Evaluations per search."""
     settings: dict[str, JsonValue]
-    """What the searches depend on; repeats are added to a file only if these are the same."""
+    """The settings that searches depend on; repeats are added to a file only if these are the
+    same."""
     repeats: Annotated[dict[str, Annotated[list[Repeat], Field(min_length=1)]], Field(min_length=1)]
     """Repeats by optimiser; the others are compared with the first one."""
     gradients: dict[str, Gradients] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""A filter as it is stored: its kind and its numbers. From there and back to the filter."""
+"""The stored form of a filter, its kind and its numbers; conversion to it and back."""
 
 import reprlib
 from collections.abc import Mapping
@@ -51,11 +51,11 @@ TITLES: Mapping[Kind, str] = {
     "imu": "filter for inertial sensors",
     "own": "filter of the user's own",
 }
-"""Kinds that are not called a gain."""
+"""Titles of the kinds that are not a gain."""
 
 
 def check_kind(experiment: Experiment, job: str) -> None:
-    """Refuse an experiment of a user's own filter, for a job that takes none."""
+    """Refuse an experiment of a user's own filter, for a job that accepts no such filter."""
     if experiment.filter.kind == "own":
         refuse('filter.kind = "own"', f"a filter of posegsa, as `{job}` takes no filter")
 
@@ -65,20 +65,21 @@ class Description(NamedTuple):
 
     kind: Kind
     numbers: dict[str, list[Number]]
-    """Of the schedule, by name; one number is a list of one. Empty where there is no schedule."""
+    """Numbers of the schedule, by name; a single number is a list of one. Empty without a
+    schedule."""
     also: dict[str, Number]
-    """What else was tuned, by key of the configuration; the noises of a Kalman filter."""
+    """Other tuned numbers, by key of the configuration, such as the noises of a Kalman filter."""
     evaluations: Annotated[int, Field(ge=0)]
-    """Evaluations of the search that found it; 0 where none was needed."""
+    """Evaluations of the search that found it; 0 without a search."""
 
     @property
     def title(self) -> str:
-        """What it is called in a sentence."""
+        """The filter's title for use in a sentence."""
         return title_of(self.kind)
 
 
 def title_of(kind: Kind) -> str:
-    """What a filter of a kind is called in a sentence."""
+    """The title of a kind of filter, for use in a sentence."""
     return TITLES.get(kind, f"{kind} gain")
 
 
@@ -90,11 +91,11 @@ def kind_of(experiment: Experiment) -> Kind:
 
 
 def _of_its_kind(found: Description) -> Description:
-    """A description that was read, if it has the numbers that filters of its kind have."""
+    """A description that was read, after a check that it has the numbers of its kind."""
     lengths = {name: len(values) for name, values in found.numbers.items()}
     match found.kind:
         case "fuzzy":
-            # A rule table is looked at where one sees whether it was searched (`candidate_of`).
+            # A rule table is checked where it is known whether it was searched (`candidate_of`).
             own = {name: length for name, length in lengths.items() if name != "rules"}
             fits, allowed = own == {"k": len(PARAMETERS)}, f"k, of length {len(PARAMETERS)}"
         case "open loop":
@@ -213,15 +214,17 @@ def described_filter(
     """The filter of a description.
 
     Args:
-        found: Its numbers.
-        experiment: The experiment that it is of, whatever its numbers.
-        own: The user's own filter, where it is one.
+        found: The description.
+        experiment: The experiment that it belongs to; its own numbers do not matter.
+        own: The user's own filter, if the description is of one.
         sensors: How many vectors and landmarks it reads; by default those of the scenario.
     """
     schedule = candidate_of(found, experiment).schedule
     with jax.enable_x64(experiment.run.dtype == "float64"):
         filter = filter_of(config.with_tuned(experiment, found.also), own, sensors)
-        own_schedule = isinstance(filter, Observer | KalmanFilter)  # one's own brings its own
+        own_schedule = isinstance(
+            filter, Observer | KalmanFilter
+        )  # a user's own filter has its own
         if own_schedule and schedule is not None:
             return replace(filter, schedule=schedule)
         return filter
@@ -269,7 +272,7 @@ def tuned_experiment(experiment: Experiment, found: Description) -> Experiment:
             rules = rule_table(_rules_of(found.numbers, parameter_space(experiment)))
         tuned = tuned.replace(**{"fuzzy.rules": rules})
     section = tuned.filter
-    # Neither is searched as a number: the table is in [fuzzy], the times of a clock are fixed.
+    # Neither is a searched number: the table is in [fuzzy], the times of a clock are fixed.
     left = {"rules", *(f"{role}.time" for role in NoiseGains._fields)}
     scheduled = isinstance(section, config.ObserverConfig) and section.schedule == found.kind
     if scheduled or (found.kind == "kalman" and found.numbers):

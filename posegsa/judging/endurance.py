@@ -37,11 +37,11 @@ class Endurance(NamedTuple):
     distance: PerWindow
     """Distance of its position from the true one, |P_est - P| [m]."""
     other_attitude: PerWindow
-    """The same errors of the filter beside it [deg]."""
+    """The attitude error of the other filter [deg]."""
     other_position: PerWindow
-    """[m]"""
+    """Its position error as in the cost [m]."""
     other_distance: PerWindow
-    """[m]"""
+    """Its distance from the true position [m]."""
 
     def rows(self) -> list[tuple[float, ...]]:
         """The windows one by one, in the order of the fields."""
@@ -51,7 +51,7 @@ class Endurance(NamedTuple):
         """The windows as text.
 
         Args:
-            names: Names of the judged filter and of the one beside it.
+            names: Names of the judged filter and of the other one.
             scenarios: Number of scenarios.
         """
         heads = ["attitude", "P_err", "distance"]
@@ -79,7 +79,7 @@ class Endurance(NamedTuple):
     def worse(self) -> list[str]:
         """Errors and windows after the first in which the tuned filter is worse, as text.
 
-        Less than WORSE times the other's error is as good.
+        An error below WORSE times the other's counts as equal.
         """
         found = []
         for name, own, other in (

@@ -50,9 +50,9 @@ KALMAN_AS_IT_COMES = "Kalman filter as it comes"
 IMU_AS_IT_COMES = "attitude filter as it comes"
 """The same on recordings of inertial sensors."""
 CLAIRVOYANT = "clairvoyant"
-"""The name of the reference below all filters, which is told what no filter can know."""
+"""The name of the reference in the last row, which knows what no filter can know."""
 NOT_TUNED = "this filter"
-"""The name of the filter that is judged, in place of the first of these, if no search found it."""
+"""The name of the judged filter, instead of the first contender's, if no search found it."""
 ADVICE = {
     CONSTANT: "`posegsa tune CONFIG --set filter.schedule=constant`",
     SMOOTH: "`posegsa tune CONFIG --set filter.schedule=smooth`",
@@ -64,7 +64,7 @@ ADVICE = {
     KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
     IMU_AS_IT_COMES: "`posegsa replay imu`",
 }
-"""How to get one of the filters beside a tuned one."""
+"""How to get one of the filters that are compared with a tuned one."""
 BAND_POINTS = 300
 """Maximum number of times at which error bands are stored over a whole run, evenly spaced."""
 EARLY, EARLY_POINTS = 1.0, 100
@@ -188,7 +188,7 @@ class Evaluation:
     time: Annotated[np.ndarray, Numbers("times")]
     """(n,) times of the bands [s]."""
     contenders: dict[Annotated[str, AfterValidator(_contender_name)], Contender]
-    """By name, the filter that is judged first."""
+    """The contenders by name; the judged filter is the first."""
     clairvoyant: Annotated[np.ndarray, Numbers("scenarios", allow="infinite")] | None = None
     """(S,) cost of the clairvoyant (`filters.clairvoyant`); None with a user's own cost."""
 
@@ -208,7 +208,7 @@ class Evaluation:
 
     @property
     def costs(self) -> dict[str, np.ndarray]:
-        """(S,) cost on each scenario, of each contender and at last of the clairvoyant."""
+        """(S,) cost on each scenario, of each contender and finally of the clairvoyant."""
         found = {name: each.metrics.cost for name, each in self.contenders.items()}
         return found if self.clairvoyant is None else found | {CLAIRVOYANT: self.clairvoyant}
 
@@ -247,7 +247,7 @@ class Evaluation:
         return _rows(COSTS, summaries, write), _rows(BEHAVIOUR, metrics, write)
 
     def consistency(self, write: Callable[[float, str], str] = format) -> Rows:
-        """A table of how right the contenders' covariances are; empty if none has one."""
+        """A table of the consistency of the contenders' covariances; empty if none has one."""
         metrics = {
             name: each.metrics
             for name, each in self.contenders.items()
@@ -279,7 +279,7 @@ class Evaluation:
         )
         if self.clairvoyant is not None:
             head += (
-                f" Its cost is {self.cost(self.own).mean:.4g}; the clairvoyant, which is told what "
+                f" Its cost is {self.cost(self.own).mean:.4g}; the clairvoyant, which knows what "
                 f"no filter can know, has {self.cost(CLAIRVOYANT).mean:.4g}."
             )
         others = [name for name in self.contenders if name != self.own]

@@ -1,4 +1,4 @@
-"""Turn what a search found into a result: judge it on what it has not seen, and check it."""
+"""Turn the outcome of a search into a result: judge it on unseen data, and check it."""
 
 import warnings
 from collections.abc import Sequence
@@ -55,7 +55,7 @@ from posegsa.search.run_search import Found
 from posegsa.version import VERSION
 
 _PARTS = (
-    "the filter beside it",
+    "the filter compared with it",
     "unseen scenarios",
     "references",
     "one run",
@@ -70,16 +70,16 @@ class Recorded(NamedTuple):
     training: Sequence[Recording]
     held_out: Sequence[Recording]
     position_weight: float
-    """Of the position's RMSE in the cost [deg/m]."""
+    """Weight of the position's RMSE in the cost [deg/m]."""
 
 
 def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None) -> Result:
     """Judge the best candidate of a search.
 
     Args:
-        problem: What was searched.
-        found: What the search found.
-        recorded: The recordings that it was tuned on, if it was, and those held out.
+        problem: The problem that was searched.
+        found: The outcome of the search.
+        recorded: The recordings that it was tuned on, and those held out; None without recordings.
     """
     search = found.search
     configured = _configured_if_gained_little(problem, float(search.best_cost))
@@ -119,7 +119,7 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
 
 
 def _configured_if_gained_little(problem: TuningProblem, best_cost: float) -> Candidate | None:
-    """The candidate with the configured numbers, where the search gains less than it must."""
+    """The candidate with the configured numbers, if the search improves the cost by too little."""
     experiment, training = problem.experiment, problem.training
     least, keys = experiment.objective.least_gain, problem.space.keys
     if not least or training.recorded is None or len(keys) != problem.space.box.lower.size:
@@ -138,12 +138,12 @@ def _stored(column: jax.Array) -> np.ndarray:
 
 
 def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -> OnScenarios:
-    """What a candidate is worth on drawn scenarios, beside the filter that always stands there.
+    """The performance of a candidate on drawn scenarios, and of the filter always compared.
 
     `found` is its description.
     """
     experiment, scenarios = problem.experiment, problem.simulated
-    _begin("the filter beside it")
+    _begin("the filter compared with it")
     name, other, evaluations = _beside(problem, tuned)
     own = own_name(found)
     candidates = {own: tuned, name: other}
@@ -183,10 +183,10 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -
 
 
 def _beside(problem: TuningProblem, tuned: Candidate) -> tuple[str, Candidate, int]:
-    """The filter that always stands beside a tuned one: name, candidate, evaluations.
+    """The filter that a tuned one is always compared with: name, candidate, evaluations.
 
-    Beside a gain schedule that are the best constant gains, beside a constant gain the best smooth
-    one, and beside another filter itself with the numbers of its configuration.
+    For a gain schedule these are the best constant gains, for a constant gain the best smooth one,
+    and for another filter the same filter with the numbers of its configuration.
     """
     section, evaluations = problem.experiment.filter, problem.experiment.search.evaluations
     if not isinstance(section, ObserverConfig):
@@ -231,7 +231,7 @@ def on_recordings(
         training: Recordings that it was tuned on; the filter knows their sensors.
         held_out: Recordings that only judge. A filter that was not searched knows their sensors,
             and those without a truth do not judge it.
-        simulated: Its costs on simulated scenarios that were tuned on beside recordings.
+        simulated: Its costs on simulated scenarios that were tuned on in addition to recordings.
     """
     own, filter = result.experiment, result.filter
     judges = [

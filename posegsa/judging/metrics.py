@@ -27,8 +27,8 @@ POSITION_WORDS = (
 )
 """Explains the two position errors below a table that shows both."""
 CONSISTENT_NEES = 12.591587243743977
-"""The NEES of a pose that 95 % of a consistent filter's do not exceed: chi-squared with 6 degrees
-of freedom."""
+"""The NEES of a pose that a consistent filter does not exceed at 95 % of the samples: the quantile
+of chi-squared with 6 degrees of freedom."""
 QUANTILES = (0.05, 0.5, 0.95)
 """Quantiles over scenarios in the error bands."""
 

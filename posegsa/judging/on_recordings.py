@@ -1,4 +1,4 @@
-"""What a tuned filter is worth on recordings."""
+"""The performance of a tuned filter on recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ from posegsa.words import text_table
 
 
 def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
-    """Errors by phase that were read, if those of all that is judged are among them."""
+    """Errors by phase that were read, after a check that the phase "judged" is among them."""
     if "judged" not in errors:
         raise ValueError(
             f"its phases are {', '.join(errors) or 'none'}; allowed: judged among them"
@@ -35,7 +35,7 @@ def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
 
 
 NOT_CUT = 0.99
-"""Share of the gain asked for from which on it counts as used."""
+"""Ratio of used to requested gain above which the gain counts as not cut."""
 MATTERS = 1.02
 """Ratio of errors below which filters count as equally good."""
 DRAWS, FEWEST_BLOCKS = 2000, 4
@@ -54,7 +54,7 @@ class RecordingScore(NamedTuple):
     """[s]"""
     attitude_only: bool
     sources: dict[str, str]
-    """What is measured and what was made from the truth, in words."""
+    """Which quantities are measured and which were simulated from the truth, in words."""
     notes: list[str]
     """What was bridged, dropped or left out."""
     errors: Annotated[dict[str, Rmse], AfterValidator(_with_what_is_judged)]
@@ -72,12 +72,12 @@ class SimulatedScore(NamedTuple):
     """A filter that was tuned on recordings and simulated scenarios, on the latter."""
 
     training: Annotated[list[AnyNumber], Field(min_length=1)]
-    """Its cost on each that it was tuned on [deg], by the root mean squares of its errors."""
+    """Its cost on each training scenario [deg], from the root mean squares of its errors."""
     held_out: Annotated[list[AnyNumber], Field(min_length=1)]
-    """The same on scenarios that only judge."""
+    """The same on held-out scenarios."""
 
     def text(self, share: float) -> str:
-        """Both for a person, with the share of the scenarios in what was minimised."""
+        """Both as text, with the share of the scenarios in the minimised cost."""
         rows = [
             [label, f"{np.mean(costs):.4g}", f"{np.max(costs):.4g}", str(len(costs))]
             for label, costs in (("tuned on", self.training), ("held out", self.held_out))
@@ -88,25 +88,25 @@ class SimulatedScore(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class OnRecordings:
-    """A tuned filter on recordings, beside others."""
+    """A tuned filter on recordings, compared with others."""
 
     training: list[RecordingScore]
-    """On each recording that it was tuned on."""
+    """Its score on each training recording."""
     held_out: list[RecordingScore]
-    """On recordings that only judge; empty if there were none."""
+    """Its score on each held-out recording; empty if there were none."""
     baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
-    """Other filters on the same held-out recordings, by name (`evaluate`)."""
+    """Scores of other filters on the same held-out recordings, by name (`evaluate`)."""
     simulated: SimulatedScore | None = None
-    """On simulated scenarios, if these were tuned on too."""
+    """Its score on simulated scenarios, if it was tuned on these too."""
     sensors: StoredSensors | None = None
-    """What the recordings that it was tuned on know of their sensors, for exports and streams; None
-    where they differ in that, or there are none."""
+    """References and weights of the sensors of the training recordings, for exports and streams;
+    None if these differ between recordings, or there are none."""
 
     def text(self, simulated_share: float) -> str:
         """A short text; it always says whether recordings were held out.
 
         Args:
-            simulated_share: What share of the objective simulated scenarios had.
+            simulated_share: Share of the simulated scenarios in the objective.
         """
         parts = [
             self.table() if self.training or self.held_out else "",
@@ -117,7 +117,7 @@ class OnRecordings:
         return "\n\n".join(part for part in parts if part)
 
     def alone(self) -> str:
-        """That nothing was held out, in words; "" if something was."""
+        """A sentence that nothing was held out; "" if something was."""
         if self.held_out or not self.training:
             return ""
         return (
@@ -126,10 +126,10 @@ class OnRecordings:
         )
 
     def verdict(self) -> str:
-        """Which of the filters beside it does better on what was held out, the best first.
+        """Which of the compared filters do better on the held-out recordings, the best first.
 
-        "" if there are none. Errors are means over the recordings; less than MATTERS apart they are
-        as good.
+        "" if there are none. Errors are means over the recordings; they count as equal if they
+        differ by less than MATTERS.
         """
         if not (self.held_out and self.baselines):
             return ""
@@ -146,7 +146,7 @@ class OnRecordings:
         beside = ", ".join(self.baselines)
         if not better:
             return (
-                f"{head}No filter beside it ({beside}) errs less, in attitude or in position: take "
+                f"{head}No other filter ({beside}) errs less, in attitude or in position: take "
                 "it, `posegsa export RUN --format c` or `posegsa replay RUN FILE`."
             )
         better.sort()
@@ -165,12 +165,12 @@ class OnRecordings:
                 "the schedule asks for more than the gain limit allows in "
                 f"{100 * np.mean(cut):.0f} % of the samples with a measurement: there the limit "
                 "sets the gain, not the schedule, and a constant gain may do as well (`posegsa "
-                "evaluate` shows it beside)"
+                "evaluate` shows one)"
             )
         return found
 
     def _behind_constant(self) -> str:
-        """That the best constant gains err less on what was held out, in all that is judged."""
+        """A sentence if the best constant gains have lower held-out errors of every kind."""
         others = self.baselines.get(CONSTANT)
         if not (others and self.held_out):
             return ""
@@ -199,7 +199,7 @@ class OnRecordings:
         return with_heads(["", *HEADS], rows)
 
     def origins(self) -> str:
-        """What of the recordings is measured and what synthetic, and what was bridged."""
+        """Which quantities are measured, which are synthetic, and what was bridged."""
         lines = []
         for one in (*self.training, *self.held_out):
             words = [f"{quantity}: {text}" for quantity, text in one.sources.items()]
@@ -224,7 +224,7 @@ class ErrorShare(NamedTuple):
 
 @np.errstate(all="ignore")  # a filter may diverge to any number
 def shares(own: Sequence[RecordingScore], other: Sequence[RecordingScore]) -> dict[str, ErrorShare]:
-    """Another filter's errors as shares of one's own, of attitude and position.
+    """Another filter's errors of attitude and position as shares of the own filter's.
 
     The interval is a bootstrap over blocks of some seconds, the same for both filters.
     """
@@ -253,7 +253,7 @@ def _share(
 
 
 def _rows(scores: Sequence[RecordingScore]) -> list[list[str]]:
-    """A row for each phase of each recording, and the mean of what is judged of several."""
+    """A row for each phase of each recording, and the mean of the judged errors of several."""
     rows = [row for one in scores for row in error_rows(one.name, one.errors.items())]
     if len(scores) > 1:
         mean = mean_errors(scores)
@@ -262,7 +262,7 @@ def _rows(scores: Sequence[RecordingScore]) -> list[list[str]]:
 
 
 def mean_errors(scores: Sequence[RecordingScore]) -> Rmse:
-    """Means over recordings of the root mean squares of what is judged."""
+    """Means over recordings of the root mean squares of the judged samples."""
     judged = [one.errors["judged"] for one in scores]
     positions = [one.position for one in judged if one.position is not None]
     return Rmse(

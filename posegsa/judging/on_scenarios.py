@@ -1,4 +1,4 @@
-"""What a tuned filter is worth on drawn scenarios."""
+"""The performance of a tuned filter on drawn scenarios."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -17,11 +17,11 @@ Costs = Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
 
 @dataclass(frozen=True, kw_only=True)
 class OnScenarios:
-    """A tuned filter on drawn scenarios, beside others."""
+    """A tuned filter on drawn scenarios, compared with others."""
 
     training: dict[str, Costs]
     """(S,) cost on each training scenario, infinite where a run diverged: of the tuned filter, and
-    of the one filter that always stands beside it."""
+    of the one filter that is always compared with it."""
     evaluation: Evaluation
     """Both filters, an untuned Kalman filter (after `evaluate`, all baselines) and the clairvoyant
     on held-out scenarios."""
@@ -33,14 +33,14 @@ class OnScenarios:
 
     @property
     def beside(self) -> str:
-        """The name of the filter that always stands beside the judged one."""
+        """The name of the filter that the judged one is always compared with."""
         return next(name for name in self.training if name != self.evaluation.own)
 
     def text(self, endurance_scenarios: int) -> str:
         """A short text.
 
         Args:
-            endurance_scenarios: On how many scenarios the filters were run for longer.
+            endurance_scenarios: Number of the longer scenarios that the filters were run on.
         """
         last = self.trajectory
         settled = last.time >= 0.5 * last.time[-1]

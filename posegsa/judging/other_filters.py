@@ -127,7 +127,7 @@ def _signals(recording: Recording) -> Signals:
 
 
 def _filled(signal: np.ndarray) -> np.ndarray:
-    """A signal (K, 3) whose missing samples hold the last value, or the first one to come."""
+    """A signal (K, 3) whose missing samples hold the last value, or before it the first value."""
     known = np.flatnonzero(np.isfinite(signal).all(axis=1))
     if known.size == 0:
         raise RecordingError("sensors: a signal is missing at all samples")

@@ -11,7 +11,7 @@ from posegsa.recordings.recording import Recording
 from posegsa.words import text_table
 
 FAR = 10.0
-"""How many times its error at the start a position must be off at the end to be lost."""
+"""Multiple of the position error at the start above which the position at the end is lost."""
 
 
 class Replay(NamedTuple):
@@ -24,11 +24,11 @@ class Replay(NamedTuple):
 
     @property
     def lost(self) -> str:
-        """How the filter is lost at the end, in words; "" if it is not, or nothing says so.
+        """Why the estimate is lost at the end, in words; "" if it is not, or nothing shows it.
 
-        It is if an estimate is not finite; or if over the last second (medians) its attitude is off
-        by more than 90 deg, or its position by more than the body was ever from the middle of its
-        way, and by more than FAR times the error at the start.
+        It is lost if an estimate is not finite; or if over the last second (medians) its attitude
+        is off by more than 90 deg, or its position by more than the body's largest distance from
+        the centre of its path, and by more than FAR times the error at the start.
         """
         estimates, truth, errors = self.estimates, self.recording.truth, self.errors
         moved = [] if self.recording.attitude_only else [estimates.position]

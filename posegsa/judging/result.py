@@ -1,4 +1,4 @@
-"""A result: a tuned filter, how it was found, and what it is worth."""
+"""A result: a tuned filter, how it was found, and how good it is."""
 
 import warnings
 from dataclasses import dataclass, field, replace
@@ -43,10 +43,10 @@ from posegsa.settings.fields import NonNegative
 from posegsa.words import counted, text_table
 
 TunedOn = Literal["scenarios", "recordings", "recordings and scenarios"]
-"""What a search saw."""
+"""The data that a search used."""
 
 AT_END = 0.01
-"""Share of its box, by its scale, within which a number is at an end of it."""
+"""A number within this share of its box from an end, on its scale, counts as at that end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,39 +57,39 @@ class FoundBy:
     cost: str
     """The name of the cost that was minimised (`search.population.cost_name`)."""
     position_weight: NonNegative
-    """Of the position's RMSE in the cost on recordings [deg/m]; 0 without recordings."""
+    """Weight of the position's RMSE in the cost on recordings [deg/m]; 0 without recordings."""
     best_cost: Cost
-    """Lowest cost that the search found: on recordings [deg], on scenarios the configured one."""
+    """Lowest cost that the search found: in deg on recordings, the configured cost on scenarios."""
     non_finite: Annotated[int, Field(ge=0)]
     """Number of evaluated agents whose cost or gradient was not finite."""
     compile_seconds: NonNegative
     search_seconds: NonNegative
     history: History
-    """What each iteration saw."""
+    """The costs of each iteration."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """A tuned filter, how it was found, and what it is worth.
+    """A tuned filter, how it was found, and how good it is.
 
     `tune` makes one; `configured` makes one of a filter that was not searched.
     """
 
     experiment: Experiment
-    """What was searched."""
+    """The experiment that was searched."""
     filter: StoredFilter
-    """The tuned filter: its kind, its schedule's own numbers, and what was tuned beside them."""
+    """The tuned filter: its kind, its schedule's own numbers, and the other tuned numbers."""
     search: FoundBy | None
-    """None of a filter that was not searched."""
+    """How it was found; None for a filter that was not searched."""
     on_scenarios: OnScenarios | None = None
-    """What it is worth on drawn scenarios; None if it was not run on any."""
+    """Its performance on drawn scenarios; None if it was not run on any."""
     on_recordings: OnRecordings | None = None
-    """What it is worth on recordings; None if it was not run on any."""
+    """Its performance on recordings; None if it was not run on any."""
     environment: dict[str, str]
     """Versions and device."""
     version: str
     own: OwnFilter | None = field(default=None, compare=False, metadata={"stored": False})
-    """The user's own filter, where it is one; passed again when a result is read."""
+    """The user's own filter, if it is one; it is passed again when a result is read."""
 
     @property
     def parameters(self) -> np.ndarray:
@@ -99,7 +99,7 @@ class Result:
 
     @property
     def also(self) -> dict[str, float]:
-        """What was tuned beside the schedule's own numbers, by key of the configuration."""
+        """The tuned numbers in addition to the schedule's own, by key of the configuration."""
         return self.filter.also
 
     @property
@@ -109,12 +109,12 @@ class Result:
 
     @cached_property
     def candidate(self) -> Candidate:
-        """The tuned schedule, with the numbers that were tuned beside it."""
+        """The tuned schedule, with the other numbers that were tuned."""
         return candidate_of(self.filter, self.experiment)
 
     @property
     def tuned(self) -> Experiment:
-        """The experiment with all that was tuned: its file is the tuned filter."""
+        """The experiment with all tuned numbers: its file describes the tuned filter."""
         return tuned_experiment(self.experiment, self.filter)
 
     @property
@@ -122,7 +122,7 @@ class Result:
         """The tuned gain schedule, ready for `Observer`.
 
         Raises:
-            ArgumentError: The filter has none.
+            ArgumentError: The filter does not have one.
         """
         schedule = self.candidate.schedule
         if schedule is None or isinstance(schedule, NoiseGains):
@@ -134,7 +134,7 @@ class Result:
         """The tuned fuzzy controller; `controller(error=..., rate=...)` is a gain [1/s].
 
         Raises:
-            ArgumentError: The filter has none.
+            ArgumentError: The filter does not have one.
         """
         schedule = self.candidate.schedule
         if not isinstance(schedule, FuzzyGain):
@@ -143,7 +143,7 @@ class Result:
 
     @property
     def controllers(self) -> dict[str, FuzzyController]:
-        """The tuned fuzzy controllers by what they schedule.
+        """The tuned fuzzy controllers, by the quantity that they schedule.
 
         "gain" of an observer; "unknown" and "belief" of a Kalman filter's noises (`NoiseGains`,
         tied for vectors and landmarks).
@@ -158,7 +158,7 @@ class Result:
 
     @property
     def known_sensors(self) -> KnownSensors:
-        """What the filter knows of its sensors: of its recordings; of its scenario without any.
+        """The sensors that the filter knows: those of its recordings, or else of its scenario.
 
         Raises:
             ArgumentError: The recordings have different references, or references that move.
@@ -193,7 +193,7 @@ class Result:
     def with_sensors_of(self, recording: Recording) -> "Result":
         """The same filter for the vectors and landmarks of a recording, for exports and streams.
 
-        What it is worth stays as it was judged.
+        Its judgement stays as it was.
 
         Raises:
             ArgumentError: The recording's references move.
@@ -234,7 +234,7 @@ class Result:
         position: ArrayLike | None = None,
         bias: ArrayLike | None = None,
     ) -> Estimates:
-        """Run the tuned filter on measurements of one's own, or on a recording.
+        """Run the tuned filter on your own measurements, or on a recording.
 
         Args:
             measurements: N samples (`Measurements.from_arrays`), or a recording; converted to the
@@ -261,7 +261,7 @@ class Result:
                 refuse("rotation, position: not both given", "both, or neither with a Recording")
             else:
                 start = checked_state(rotation, position, bias, dtype)
-            if isinstance(measurements, Recording):  # whose judgement says what the limit cuts
+            if isinstance(measurements, Recording):  # its score reports the effect of the limit
                 return run_filter(self.filter_on(measurements), measurements, start)
             sensed = measurements.at_least(dtype)
             vectors, landmarks = (np.shape(a)[-2] for a in (sensed.vectors, sensed.landmarks))
@@ -283,7 +283,7 @@ class Result:
         return f"<Result: a {self.filter.title}{cost}; see summary()>"
 
     def summary(self) -> str:
-        """A short text for a person."""
+        """A short readable text."""
         parts = [self._head()]
         if self.on_scenarios is not None:
             parts.append(self.on_scenarios.text(self.experiment.run.endurance_scenarios))
@@ -292,7 +292,9 @@ class Result:
         simple = {name: each for name, each in self.filter.numbers.items() if len(each) == 1}
         numbers = simple | {key: [value] for key, value in self.also.items()}
         if numbers:
-            beside = f" beside k1 to k{len(PARAMETERS)}" if self.filter.kind == "fuzzy" else ""
+            beside = (
+                f" in addition to k1 to k{len(PARAMETERS)}" if self.filter.kind == "fuzzy" else ""
+            )
             tuned = ", ".join(f"{key} = {each[0]:.4g}" for key, each in numbers.items())
             parts.append(f"Tuned{beside}: {tuned}")
         if self.filter.kind == "fuzzy" and self.experiment.fuzzy.rules == SEARCHED:
@@ -307,7 +309,7 @@ class Result:
         return "\n".join(["\n\n".join(filter(None, parts)), *lines])
 
     def at_ends(self) -> list[str]:
-        """The tuned numbers beside a schedule's that are at an end of their box, in words."""
+        """Which of the other tuned numbers are at an end of their box, in words."""
         found, tuned = [], {} if self.search is None else self.also
         for one in self.experiment.also:
             if one.key not in tuned or one.lower == one.upper:
@@ -324,7 +326,7 @@ class Result:
         return found
 
     def _kept(self) -> str:
-        """That the search gained too little to change anything, in words; "" if it did not."""
+        """A sentence, if the search improved the cost too little to change the numbers; else ""."""
         least, numbers = self.experiment.objective.least_gain, self.also
         if self.search is None or not (least and numbers):
             return ""

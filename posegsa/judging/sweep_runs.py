@@ -109,7 +109,7 @@ class Sweep:
     """Runs that differ in the values of some keys, and in their seeds."""
 
     runs: tuple[SweepRun, ...]
-    """At least one, in the order of their values; everything else is the same for all."""
+    """The runs, at least one, in the order of their values; everything else is the same for all."""
 
     @property
     def keys(self) -> list[str]:

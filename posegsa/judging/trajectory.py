@@ -89,7 +89,7 @@ class Trajectory:
     ]
     """(N, 3) standard deviations of the estimated position, inertial frame [m]; NaN without one."""
     vector_bias_error: Annotated[np.ndarray, _column("bias_error_v#", each=True)]
-    """(N, n) their distances from the true ones, in the vectors' unit."""
+    """(N, n) distances of these biases from the true ones, in the vectors' unit."""
 
 
 def trajectory(

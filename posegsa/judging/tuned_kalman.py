@@ -17,7 +17,7 @@ from posegsa.search.problem import TuningProblem
 
 AGENTS = 20
 MAX_EVALUATIONS = 1000
-"""Evaluations of a search, at most; one takes as long as many of the observer's."""
+"""Maximum evaluations of a search; one takes as long as many evaluations of the observer."""
 CHECK_INTERVAL = 200
 """Evaluations between two checks of the improvement."""
 MIN_IMPROVEMENT = 0.01
@@ -25,7 +25,7 @@ MIN_IMPROVEMENT = 0.01
 
 
 _KEPT = (*KalmanNoise._fields, *LEAD_KEYS, "vector_scales", "landmark_scales")
-"""What a plain Kalman filter has of another."""
+"""Settings that a plain Kalman filter takes over from another."""
 
 
 def kalman_experiment(experiment: config.Experiment, *, vector_biases: bool) -> config.Experiment:
@@ -47,7 +47,7 @@ def tune_kalman(problem: TuningProblem) -> Description:
 
     Differential evolution searches their logarithms until a check finds less than
     MIN_IMPROVEMENT. Its first agent has the noises as configured, by default those of the sensors'
-    data sheet: a filter that few evaluations improve much on.
+    data sheet, which a few evaluations hardly improve.
     """
     experiment, space = problem.experiment, problem.space
     optimiser = DifferentialEvolution(

@@ -1,6 +1,6 @@
-"""The untuned Kalman filter beside a tuned filter: noises and start as its sensors have them.
+"""The untuned Kalman filter, for comparison: noises and start are those of its sensors.
 
-It is what a user has without a search: standard deviations as a data sheet states them, and the
+A user has it without a search: standard deviations as a data sheet states them, and the
 first pose that the sensors show.
 """
 
@@ -14,22 +14,22 @@ from posegsa import config
 from posegsa.search.population import ScenarioBatch
 
 LEAST = 1e-3
-"""Smallest standard deviation of a sensor and of a bias that it believes, in their units."""
+"""Smallest standard deviation of a sensor and of a bias that it assumes, in their units."""
 
 
 class BiasSpread(NamedTuple):
     """Root mean squares over scenarios of each component of the biases."""
 
     angular: float
-    """Of the angular velocity [rad/s]."""
+    """Bias of the angular velocity [rad/s]."""
     linear: float
-    """Of the velocity [m/s]."""
+    """Bias of the velocity [m/s]."""
     vector: float
-    """Of the vectors, in their unit."""
+    """Biases of the vectors, in their unit."""
 
 
 def bias_spread(experiment: config.Experiment) -> BiasSpread:
-    """How large the biases in an experiment's scenarios are."""
+    """The spread of the biases in an experiment's scenarios."""
     c, f, scale = experiment.scenario, experiment.family, 1.0
     if not isinstance(f.bias_scale, str):
         low, high = f.bias_scale

@@ -18,7 +18,7 @@ class CostWeights(NamedTuple):
     window: Array
     """(N,) True inside the steady-state window, even if its weight is 0."""
     position: Array
-    """Weight of the position error beside the attitude error [1/m], 0.2 in the paper."""
+    """Weight of the position error relative to the attitude error [1/m], 0.2 in the paper."""
 
     def between(self, time: Array, begin: Array | None, end: Array | None) -> Self:
         """The weights for samples at `time` (N,) [s], 0 before `begin` and from `end` on [s].

@@ -46,7 +46,7 @@ class FilterState(NamedTuple):
 
     @property
     def vector_bias(self) -> Array:
-        """C (..., n, 3) of n vectors, body frame; n is 0 if they are not estimated."""
+        """c_i (..., n, 3) of n vectors, body frame; n is 0 if they are not estimated."""
         if not self.vector_biases:
             return jnp.zeros((*self.place[0].shape, 0, 3), self.place[0].dtype)
         return jnp.stack([stack(c) for c in self.vector_biases], axis=-2)
@@ -65,7 +65,7 @@ def initial_state(
         rotation: (..., 3, 3) R_est, body to inertial; a rotation (see `se3.project_rotation`).
         position: (..., 3) P_est [m], inertial frame.
         bias: (..., 6) b_est [rad/s, m/s], angular first; zeros by default.
-        learnt_vectors: Number of vectors whose biases are estimated, starting at 0.
+        learnt_vectors: number of vectors whose biases are estimated; the estimates start at 0.
 
     Raises:
         MeasurementError: wrong shape, or not numbers; the message names the argument.
@@ -74,7 +74,7 @@ def initial_state(
     numeric_array("rotation", rotation, (*batch, 3, 3))
     numeric_array("position", position, (*batch, 3))
     if bias is None:
-        bias = np.zeros((*batch, 6), int)  # so that it leaves the floating type to the others
+        bias = np.zeros((*batch, 6), int)  # the other arrays decide the type
     numeric_array("bias", bias, (*batch, 6))
     dtype = _floating(rotation, position, bias)
     R, P, b = (jnp.asarray(a).astype(dtype) for a in (rotation, position, bias))

@@ -1,4 +1,4 @@
-"""What goes on in a scenario at each sample that no filter is told: noise, bursts, jumps."""
+"""What happens at each sample of a scenario and is hidden from filters: noise, bursts, jumps."""
 
 from typing import NamedTuple
 
@@ -15,11 +15,11 @@ class Events(NamedTuple):
     angular_noise: Array
     """(N,) standard deviation of each component of the angular velocity's noise [rad/s]."""
     linear_noise: Array
-    """(N,) the same of the linear velocity [m/s]."""
+    """(N,) the same for the linear velocity [m/s]."""
     vector_noise: Array
-    """(N, n) the same of each vector, in its unit."""
+    """(N, n) the same for each vector, in its unit."""
     landmark_noise: Array
-    """(N, m) the same of each landmark [m]."""
+    """(N, m) the same for each landmark [m]."""
     vector_bursts: Array
     """(N, n) whether a burst disturbs a vector."""
     landmark_bursts: Array
@@ -27,10 +27,10 @@ class Events(NamedTuple):
     jumps: Array
     """(N, 6) jump to the next sample, xi of T <- T exp(xi^), body frame [rad, m]; 0 without one."""
 
-    def weighed(self, measurements: Measurements) -> Measurements:
+    def weighted(self, measurements: Measurements) -> Measurements:
         """Measurements with weights that are inverse variances, and 0 during bursts.
 
-        Beside them a noise of standard deviation 1 is the true one.
+        With these weights, the true noise is one of standard deviation 1.
         """
         return measurements._replace(
             vector_weights=_inverse_variance(
@@ -43,7 +43,7 @@ class Events(NamedTuple):
 
 
 def events_of(scenario: Scenario) -> Events:
-    """What goes on in a scenario (pure, jittable); nothing of it is drawn anew."""
+    """The events of a scenario (pure, jittable); no random numbers are drawn for it."""
     dtype, N = scenario.time_step.dtype, scenario.samples
     time = jnp.arange(N, dtype=jnp.int32).astype(dtype) * scenario.time_step
     n, m = len(scenario.vectors), len(scenario.landmarks)

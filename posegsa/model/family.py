@@ -48,14 +48,15 @@ class Disturbances:
     size: Array
     """(2,) smallest and largest length of an offset, in the sensor's unit."""
     each: bool = field(metadata={"static": True})
-    """Whether each sensor has bursts of its own; else each burst is of one of them, at random."""
+    """Whether each sensor has bursts of its own; else each burst disturbs one of them, chosen at
+    random."""
 
 
 class NoiseFactors(NamedTuple):
     """Jumps of the noise of each sensor."""
 
     occasions: Occasions
-    """When: they have no duration."""
+    """When the jumps happen; they have no duration."""
     factor: Array
     """(2,) smallest and largest factor on the noise, drawn log-uniformly."""
 
@@ -77,7 +78,7 @@ class Displacements(NamedTuple):
     """Jumps of the body between two samples."""
 
     occasions: Occasions
-    """When: they have no duration."""
+    """When the jumps happen; they have no duration."""
     angle: Array
     """(2,) smallest and largest angle, about a random axis [rad]."""
     distance: Array
@@ -240,7 +241,7 @@ def draw_scenario(scenario: Scenario, family: Family, key: Array) -> Scenario:
 
 
 def _unit(key: Array, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
-    """Uniform between 0 and 1; drawn in float32 for both dtypes, so that a key means the same."""
+    """Uniform between 0 and 1; drawn in float32 for both dtypes, so that both agree."""
     return random.uniform(key, shape, jnp.float32).astype(dtype)
 
 

@@ -16,7 +16,7 @@ REST = 1.0
 
 
 class FirstPose(NamedTuple):
-    """Where an estimate starts that knows its sensors alone."""
+    """The start of an estimate that is made from the sensors alone."""
 
     sample: Array
     """Index of the first sample that fixes a pose; N if none does."""
@@ -77,7 +77,7 @@ def waiting_until(measurements: Measurements, sample: Array) -> Measurements:
 
 
 def bias_at_rest(measurements: Measurements, sample: Array) -> Array:
-    """Means (6,) of the velocities over REST from a sample on [rad/s, m/s]: biases, at rest."""
+    """Means (6,) of the velocities over REST after a sample [rad/s, m/s]; at rest, the biases."""
     time = jnp.cumsum(measurements.time_step)
     index = jnp.arange(time.shape[0], dtype=sample.dtype)
     begin = time[jnp.minimum(sample, time.shape[0] - 1)]
@@ -87,13 +87,13 @@ def bias_at_rest(measurements: Measurements, sample: Array) -> Array:
 
 
 def _centred(points: Array, weights: Array) -> Array:
-    """Points (N, m, 3) less the mean of those that are seen, by weights (N, m) of 0 and 1."""
+    """Points (N, m, 3) minus the mean of the visible ones, with weights (N, m) of 0 and 1."""
     count = jnp.maximum(jnp.sum(weights, axis=1), 1)[:, None, None]
     return points - jnp.sum(weights[..., None] * points, axis=1, keepdims=True) / count
 
 
 def _unit(vectors: Array) -> Array:
-    """Vectors at length one; those of length 0 stay."""
+    """Vectors scaled to length 1; those of length 0 stay 0."""
     squared = jnp.sum(vectors**2, axis=-1, keepdims=True)
     there = squared > 0
     return jnp.where(there, vectors / jnp.sqrt(jnp.where(there, squared, 1.0)), 0.0)

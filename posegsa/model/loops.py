@@ -25,7 +25,7 @@ def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -
     slice per array into the loops over agents, and LLVM does not vectorise those: 2.3 times slower
     on CPUs.
     """
-    step = jax.jit(step)  # traced once, though it is looked at before it is run; XLA inlines it
+    step = jax.jit(step)  # traced once, for its shapes and for the loop; XLA inlines it
     leaves, structure = jax.tree.flatten(inputs)
     rows = jnp.stack(leaves, axis=-1)
 
@@ -45,7 +45,7 @@ def scan_together(
     lays the n numbers of a step out as (S, n), so that one number of all simulations is not
     contiguous. Here the layout is (n, S).
     """
-    step = jax.jit(step)  # traced once, though it is looked at before it is run; XLA inlines it
+    step = jax.jit(step)  # traced once, for its shapes and for the loop; XLA inlines it
     leaves, structure = jax.tree.flatten(inputs)
     rows = jnp.stack([leaf.T for leaf in leaves], axis=1)
 
@@ -102,10 +102,11 @@ def scan(
 
 
 def batched_alike(carry: Any, others: Any) -> Any:
-    """A carry, unchanged, with each of its leaves batched by `vmap` as all of them and others are.
+    """A carry with the same values; `vmap` batches all its leaves if it batches any of the inputs.
 
-    Else `vmap` of a loop finds out which leaves differ between agents by batching the whole step,
-    for a Kalman filter up to eight times. XLA removes these choices.
+    Otherwise `vmap` of a loop finds out which leaves differ between agents by tracing the batched
+    step repeatedly, up to eight times for a Kalman filter. XLA removes the `choose` operations that
+    this adds.
 
     Args:
         carry: floating, whole or boolean leaves of any shape.

@@ -102,7 +102,7 @@ class Scenario:
     vector_period: Array
     """(n,) samples from one measurement of a vector to the next; 1 is every sample."""
     vector_begin: Array
-    """(n,) first sample from which on a vector is measured."""
+    """(n,) first sample at which a vector is measured."""
     bursts: Bursts
     """Disturbances of the vectors."""
     landmarks: Array
@@ -287,7 +287,7 @@ def _inside(windows: Array, time: Array) -> Array:
 
 
 def _count(time: Array, events: Array) -> Array:
-    """How many of the events (w,) are over at times (N,): at that time or before it."""
+    """How many of the events (w,) have happened by times (N,), events at that time included."""
     return jnp.sum(events[None] <= time[:, None], axis=1, dtype=jnp.int32)
 
 

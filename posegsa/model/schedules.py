@@ -259,7 +259,7 @@ def check_schedule(schedule: GainSchedule) -> None:
     if not (hasattr(schedule, "prepare") and hasattr(schedule, "initial_gain")):
         what = type(schedule).__name__
         raise ArgumentError(f"schedule: a {what}; allowed: ConstantGain, FuzzyGain or the like")
-    # On-line this runs at every step, so a controller is asked without a round trip to the device.
+    # On-line this runs at every step, so the gain of a controller is computed on the host.
     fuzzy = isinstance(schedule, FuzzyGain)
     gain = schedule.controller.middle_gain if fuzzy else schedule.initial_gain()
     check_gain("schedule: its gain", gain)

@@ -39,14 +39,14 @@ class TruePose(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Unknown:
-    """How the schedule's input tells what is unknown of the biases; the numbers are traced."""
+    """How the unknown share of the biases raises the schedule's input; the numbers are traced."""
 
     start: Array
-    """Its value before the first sample, in the unit of the schedule's input: 0 to 1."""
+    """The unknown share before the first sample, on the scale of the schedule's input: 0 to 1."""
     fall: Array
-    """How fast it falls at the gain K: its rate is `fall` K [1/s], so it has no unit."""
+    """How fast the share falls at the gain K: at the rate `fall` K [1/s], so it has no unit."""
     rise: Array
-    """The share of the scaled error that it is at least, no unit."""
+    """Lower limit of the unknown share, as a factor on the scaled error, no unit."""
 
 
 @jax.tree_util.register_dataclass
@@ -66,7 +66,7 @@ class SignalSettings:
     rate_scale: Array | float = 1.0
     """Factor on the signal's change (per sample, or [s] per second) before it is clipped."""
     unknown: Unknown | None = None
-    """How the schedule's input tells what is unknown of the biases; None if it does not."""
+    """How the unknown share of the biases raises the schedule's input; None if it does not."""
 
 
 class Measured(NamedTuple):
@@ -144,7 +144,7 @@ class SignalMemory(NamedTuple):
     time_step: Array
     """Time since the last sample [s]; infinite before the first one."""
     unknown: Array | tuple[()] = ()
-    """What is unknown of the biases, 0 to 1; () if the schedule does not look at it."""
+    """The unknown share of the biases, 0 to 1; () if the schedule does not use it."""
 
 
 def initial_memory(
@@ -177,8 +177,9 @@ def scheduled_gain(
     x position after a first-order low-pass filter (backward Euler, starting at the first value).
     The inputs of the schedule are e / error_scale and the rate |e_k - e_{k-1}| x rate_scale, for
     "per_second" divided by the time between the two; both are clipped to [0, 1]. The rate comes
-    from the unscaled, unclipped e, and is 0 at the first sample. With `settings.unknown` the first
-    is at least what is unknown of the biases, which is at least a share of it.
+    from the unscaled, unclipped e, and is 0 at the first sample. With `settings.unknown` the scaled
+    error is at least the unknown share of the biases, which is at least `rise` times the scaled
+    error.
 
     Returns:
         The gains, the inputs of the schedule, and the memory for the next sample.
@@ -220,16 +221,16 @@ def scheduled_gain(
 def still_unknown(
     memory: SignalMemory, seen: Seen, learnt: Array, settings: SignalSettings
 ) -> SignalMemory:
-    """The memory after a sample, from which the biases were learnt.
+    """The memory after a sample that the biases were learnt from.
 
-    What is unknown falls with what corrects the estimate: vectors count as one half, landmarks as
-    the other. Where nothing is measured it stays.
+    The unknown share falls while the estimate is corrected: vectors count as one half, landmarks as
+    the other. While nothing is measured it stays.
 
     Args:
-        memory: From `scheduled_gain`.
+        memory: The memory from `scheduled_gain`.
         seen: What was measured.
         learnt: K dt of the sample, times the factor on the gains of the bias laws.
-        settings: As there.
+        settings: As for `scheduled_gain`.
     """
     unknown = memory.unknown
     if settings.unknown is None or isinstance(unknown, tuple):

@@ -137,7 +137,7 @@ class Optimiser(Section):
         return self.changed(iterations=evaluations // each)
 
     def resumed(self, asked: "Optimiser") -> Self:
-        """The settings with which a search that was started with these is resumed.
+        """The settings for resuming a search that was started with these.
 
         Raises:
             Refused: The settings asked for differ in more than a larger number of iterations.

@@ -33,7 +33,7 @@ def runner(
     python_objective: bool = False,
     on_devices: OnDevices | None = None,
 ) -> Runner:
-    """A function that runs one search, or R of them: compiled, or on the host if that can't be.
+    """A function that runs one search, or R of them: compiled if possible, or on the host.
 
     It is compiled once for each optimiser, objective and `on_devices`, which are compared by
     equality, and for each shape of the other arguments.

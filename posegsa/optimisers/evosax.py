@@ -88,16 +88,16 @@ class Evosax(Optimiser):
         strategy, params, from_costs = self._made(dimensions)
         key, key_tell, key_ask = random.split(state.key, 3)
 
-        def told(old: Any) -> Any:
+        def later(old: Any) -> Any:
             return _like(strategy.tell(key_tell, state.asked, costs, old, params)[0], old)
 
-        def begun(old: Any) -> Any:
+        def first(old: Any) -> Any:
             return _like(strategy.init(key_tell, state.asked, costs, params), old)
 
         with _loose():
             old = state.strategy
             # The first costs belong to the initial population.
-            made = lax.cond(state.begun, told, begun, old) if from_costs else told(old)
+            made = lax.cond(state.begun, later, first, old) if from_costs else later(old)
             asked, made = strategy.ask(key_ask, made, params)
         return EvosaxState(_like(made, old), asked.astype(dtype), jnp.asarray(True), key)
 

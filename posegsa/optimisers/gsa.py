@@ -95,7 +95,7 @@ class GSA(Optimiser):
             return ""
         return (
             f"search.agents = {self.agents}: GSA's own step takes some {first:.0f} s in the first "
-            f"iterations, {whole / 60:.0f} min of the search, beside the simulations. It grows "
+            f"iterations, {whole / 60:.0f} min of the search, without simulations. It grows "
             "with the square of the agents; that of other optimisers, such as de, does not"
         )
 

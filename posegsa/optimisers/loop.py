@@ -94,7 +94,7 @@ def _started(optimiser: Optimiser, box: Box, key: Array) -> Search:
 
 
 def _joined(states: list[Any]) -> Any:
-    """The state of a search from those of its phases; with one phase, the state of that."""
+    """The state of a search from those of its phases; with one phase, its state."""
     return states[0] if len(states) == 1 else tuple(states)
 
 
@@ -145,7 +145,7 @@ def advance(
     for i, phase in enumerate(phases):
         if i > 0:
             begins = (search.iteration == begin) & (jnp.asarray(stop) > begin)  # in one chunk
-            states[i] = (_begun_in_python if in_python else _begun)(
+            states[i] = (_entered_in_python if in_python else _entered)(
                 phase, begins, states[i], box, search.best_position
             )
         end = begin + phase.iterations
@@ -158,16 +158,18 @@ def advance(
     return search._replace(state=_joined(states))
 
 
-def _begun(phase: Optimiser, begins: Array, state: Any, box: Box, position: Array) -> Any:
+def _entered(phase: Optimiser, begins: Array, state: Any, box: Box, position: Array) -> Any:
     """The state of a phase, moved to a position in the box if the phase starts now."""
     return lax.cond(begins, phase.begin_at, lambda state, _: state, state, to_unit(box, position))
 
 
-def _begun_in_python(phase: Optimiser, begins: Array, state: Any, box: Box, position: Array) -> Any:
-    """`_begun`, in Python."""
+def _entered_in_python(
+    phase: Optimiser, begins: Array, state: Any, box: Box, position: Array
+) -> Any:
+    """`_entered`, in Python."""
     if not begins:
         return state
-    return (_begun if phase.on_host else _compiled_begun)(phase, begins, state, box, position)
+    return (_entered if phase.on_host else _compiled_entered)(phase, begins, state, box, position)
 
 
 def _while(going: Callable[[Search], Array], step: Callable[[Search], Search], search: Search):
@@ -313,7 +315,7 @@ def tell(
 _compiled_start = jax.jit(_started, static_argnums=(0,))
 _compiled_ask = jax.jit(ask, static_argnums=(0,))
 _compiled_tell = jax.jit(tell, static_argnums=(0,))
-_compiled_begun = jax.jit(_begun, static_argnums=(0,))
+_compiled_entered = jax.jit(_entered, static_argnums=(0,))
 
 
 def _failure_cost(kind: FailureCost, search: Search, costs: Array) -> Array:

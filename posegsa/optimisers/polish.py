@@ -16,8 +16,8 @@ class Polish(DescentSettings, Optimiser):
     """A descent by Adam after a search; subclass it with the search, as `PolishedGSA` does."""
 
     iterations: Count = 250
-    """Iterations of the search without a descent: together they make at most agents x iterations
-    evaluations."""
+    """Iterations of the search if there were no descent: search and descent together make at most
+    agents x iterations evaluations."""
     starts: Count = 8
     """Number of starts of the descent, at and around the best position found."""
     share: Annotated[float, Field(strict=True, gt=0, lt=1)] = 0.5

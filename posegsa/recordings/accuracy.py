@@ -5,8 +5,8 @@ is vertical (D. Laidig et al., "BROAD - a benchmark for robust inertial orientat
 Data 6(7):72, 2021):
 
     total        2 arccos |w|                    the angle of the whole error
-    heading      2 arctan |z / w|                the part that a turn about the vertical corrects
-    inclination  2 arccos sqrt(w^2 + z^2)        the part that remains after that turn
+    heading      2 arctan |z / w|                the part that a rotation about the vertical removes
+    inclination  2 arccos sqrt(w^2 + z^2)        the part that remains after that rotation
 
 The position error is |P_est - P|, as in other tools for trajectories.
 """
@@ -54,15 +54,15 @@ class Rmse(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Mean square errors in blocks of what is judged of a recording, for intervals.
+    """Mean square errors in blocks of a recording's judged samples, for confidence intervals.
 
-    Errors of neighbouring samples are alike, those of blocks of some seconds hardly.
+    Errors of neighbouring samples are correlated, those of blocks of some seconds hardly are.
     """
 
     attitude: list[AnyNumber]
-    """Of each block [deg^2]."""
+    """Mean square attitude error of each block [deg^2]."""
     position: list[AnyNumber] | None
-    """[m^2]; None if the position is not judged."""
+    """Mean square position error [m^2]; None if the position is not judged."""
 
 
 class RecordingErrors(NamedTuple):
@@ -157,8 +157,8 @@ def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErr
     """The errors of estimates of a recording.
 
     Args:
-        estimates: of all its samples (`run_filter`).
-        recording: with a truth.
+        estimates: the estimates at all its samples (`run_filter`).
+        recording: a recording with a truth.
 
     Raises:
         RecordingError: the recording has no truth.

@@ -13,7 +13,7 @@ GROUPS = "phases", "sources", "sensors"
 START = "start_rotation", "start_position", "start_bias"
 WORDS = "name", "start"
 OUTLIER = "landmark_outlier"
-"""A number, or "off"."""
+"""Name of an argument that is a number or "off"."""
 ARRAYS = (
     *("time", "time_step", "angular_velocity", "velocity"),
     *("vectors", "vector_references", "vector_weights"),

@@ -7,9 +7,9 @@ NaN, unless a policy bridges that:
     "hold"          hold the last velocities
     "interpolate"   interpolate velocities linearly
 
-The last two drop samples whose time stamp is not after all before it, and fill gaps with samples at
-the median time step that have velocities only. Notes count what was bridged, and the length of gaps
-is limited.
+The last two drop samples whose time stamp is not later than all before it, and fill gaps with
+samples at the median time step that have velocities only. Notes count what was bridged, and the
+length of gaps is limited.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,8 @@ LONGEST_STEP = 3600.0
 """Upper limit of `longest_gap` [s]: longer gaps suggest time stamps in another unit."""
 ALLOWED = 'allowed: bridge = "hold" or "interpolate" (--bridge)'
 SLOWEST, FASTEST = 1.0, 1e-5
-"""Range of the median time step [s]; no inertial sensor is outside, but stamps in another unit."""
+"""Range of the median time step of inertial sensors [s]; outside it, the stamps have another
+unit."""
 
 
 class Bridged(NamedTuple):
@@ -59,8 +60,8 @@ def stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) ->
         samples: K.
 
     Raises:
-        RecordingError: not exactly one of both is given, it has the wrong shape or is not finite,
-            or the rate is none of an inertial sensor.
+        RecordingError: not exactly one of the two is given, it has the wrong shape or is not
+            finite, or no inertial sensor has this rate.
     """
     found = _stamps(time, time_step, samples)
     step = float(np.median(np.diff(found)))
@@ -79,7 +80,7 @@ def _stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) -
     if samples < 2:
         raise RecordingError(f"a recording has {counted(samples, 'sample')}; allowed: 2 or more")
     if (time is None) == (time_step is None):
-        raise RecordingError("time, time_step: give one of both")
+        raise RecordingError("time, time_step: give one of the two")
     if time is None:
         assert time_step is not None
         steps = np.full(samples, time_step) if np.ndim(time_step) == 0 else time_step

@@ -34,7 +34,7 @@ def file_of(value: str | Path) -> Path:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Put the file first in errors about what it holds, which name an array only."""
+    """Put the file's name before errors about its contents, which name only an array."""
     try:
         yield
     except MeasurementError as error:

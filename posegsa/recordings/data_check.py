@@ -1,4 +1,4 @@
-"""A look at a recording before a filter runs on it: rates, gaps, noise, biases, mistakes."""
+"""Checks of a recording before a filter runs on it: rates, gaps, noise, biases, mistakes."""
 
 import math
 from collections.abc import Sequence
@@ -21,26 +21,27 @@ from posegsa.words import counted, text_table
 
 
 class SensorCheck(NamedTuple):
-    """What was found of one sensor."""
+    """What was found about one sensor."""
 
     name: str
     unit: str
     rate: float
-    """Measurements [1/s], between the first and the last."""
+    """Mean rate of measurements, from the first to the last [1/s]."""
     gap: float
-    """Longest time without one [s]."""
+    """Longest time without a measurement [s]."""
     noise: float
     """Standard deviation of each component's noise in a sample, in its unit, if it is taken for
-    white (`recordings.noises`); without a truth what differs between neighbouring samples."""
+    white (`recordings.noises`); without a truth, from differences of neighbouring samples."""
     bias: float | None
-    """Length of the mean difference from what the truth predicts, in its unit; None without one."""
+    """Length of the mean difference from the truth's prediction, in its unit; None without a
+    truth."""
     held: float
-    """Samples for which each measurement is repeated; 1 if it is not held (`recordings.held`)."""
+    """Number of samples that repeat each measurement; 1 if it is not held (`recordings.held`)."""
 
 
 @dataclass(frozen=True)
 class DataCheck:
-    """What was found in a recording."""
+    """What was found about a recording."""
 
     recording: Recording
     sensors: list[SensorCheck]
@@ -48,16 +49,16 @@ class DataCheck:
     """How far the sensors disagree with each other and with the truth, as shares
     (`recordings.relations`)."""
     unobservable: str
-    """What is missing to determine the pose; "" if nothing is."""
+    """What is missing to determine the pose; "" if nothing is missing."""
     findings: list[str]
-    """Mistakes and delays that the recording seems to have, in words; nothing is mended."""
+    """Mistakes and delays that the recording seems to have, in words; nothing is corrected."""
 
     def __repr__(self) -> str:
         found = counted(len(self.findings), "mistake") if self.findings else "no mistake"
         return f"<DataCheck of {self.recording.name}: {found} found; see text()>"
 
     def text(self) -> str:
-        """All that was found, for a person."""
+        """The whole check as readable text."""
         rows = [["sensor", "rate [1/s]", "longest gap [s]", "noise by axis", "bias", "unit"]]
         for one in self.sensors:
             bias = "" if one.bias is None else f"{one.bias:.3g}"
@@ -82,7 +83,7 @@ class DataCheck:
 
     @property
     def _compared(self) -> str:
-        """What the sensors were compared with."""
+        """What the sensors were compared with, in words."""
         truth = self.recording.truth
         if truth is None or not np.any(truth.known):
             return "each other, as far as they overlap; there is no truth to compare them with"
@@ -108,11 +109,11 @@ _SETTINGS = (
 )
 """Keys of the noise and of the bias of each kind of sensor; whether the noise is a density."""
 VECTORS = "vector", "accelerometer", "magnetometer"
-"""How the names of vectors begin."""
+"""First words of the names of vectors."""
 _PREFIXES = {"angular_velocity": "angular_", "velocity": "linear_"}
-"""How the keys of a velocity's walk and lead begin."""
+"""Prefixes of the keys of a velocity's walk and lead."""
 NONE = 1e-6
-"""A noise below which a sensor was simulated without: no filter should believe in that."""
+"""A noise below this is that of a simulation without noise; no filter should assume it."""
 FAR_OFF, LENGTH_OFF = 0.8, 1.6
 """A misfit above which something is mistaken, whatever it is; sensors have up to 0.5. That of a
 length is a logarithm, and one that strong motion makes larger, if nothing tells it."""
@@ -121,12 +122,12 @@ STUCK = 0.05
 FASTEST = 1000.0
 """Speed of the true position [m/s] above which it jumps."""
 DIFFER = 2.0
-"""Ratio of the noises of two vectors, or two landmarks, from which on each has its own."""
+"""Ratio of the noises of two vectors, or two landmarks, above which each gets its own."""
 WALKS = {"angular_walk": 2e-5, "vector_walk": 1e-5}
-"""Where a recording shows no walk, the biases are assumed to hardly change within it."""
+"""Walks if a recording shows none: the biases are assumed to hardly change within it."""
 START = {"initial_attitude": 0.15, "initial_position": 0.25}
-"""Deviations of a start from the means of the first sensors, which is off by less where these show
-the pose [rad], [m]."""
+"""Standard deviations of a start from the first measurements, if its error is not larger [rad],
+[m]."""
 _UNITS = {
     "angular_velocity": "rad/sqrt(s)",
     "velocity": "m/sqrt(s)",
@@ -146,13 +147,13 @@ _UNITS = {
 
 
 def found_noises(recordings: Sequence[Recording]) -> dict[str, float | tuple[float, ...]]:
-    """What recordings tell of their sensors, by key of a Kalman filter's settings.
+    """Noises and biases that recordings show, by key of a Kalman filter's settings.
 
-    Noises, walks and leads are medians over the recordings, biases and errors of the start the
+    Noises, walks and leads are medians over the recordings, biases and errors at the start the
     largest. The walk of the velocity's bias is best left to a search.
 
     Args:
-        recordings: With a body velocity; biases are found where there is a truth.
+        recordings: Recordings with a body velocity; biases are found if there is a truth.
     """
     sensors = [_sensors(one) for one in recordings]
     pairs = list(zip(recordings, sensors, strict=True))
@@ -167,14 +168,14 @@ def found_noises(recordings: Sequence[Recording]) -> dict[str, float | tuple[flo
 
 
 def _scales(recordings: Sequence[Sequence[SensorCheck]]) -> dict[str, tuple[float, ...]]:
-    """Noises of single vectors and landmarks as multiples of all, where they differ."""
+    """Noises of single vectors and landmarks as multiples of the common noise, if they differ."""
     found = {}
     for kind in ("vector", "landmark"):
         noises = [
             [each.noise for each in sensors if each.name.startswith(kind)] for sensors in recordings
         ]
         if len({len(own) for own in noises}) > 1:
-            continue  # a scale belongs to one sensor by its place
+            continue  # a scale belongs to a sensor by its index
         own = np.median(np.array(noises), axis=0)
         if len(own) < 2 or not np.all(own > NONE) or np.max(own) < DIFFER * np.min(own):
             continue
@@ -185,14 +186,14 @@ def _scales(recordings: Sequence[Sequence[SensorCheck]]) -> dict[str, tuple[floa
 def _start(recording: Recording) -> dict[str, float]:
     """Deviations of the pose at the start: START, or its error if that is larger.
 
-    A start is far off if it was given so, or if nothing is seen at first that shows the pose.
+    A start is far off if a wrong one was given, or if the first measurements do not show the pose.
     """
     truth = recording.truth
     if truth is None:
         return START
     try:
         start = recording.initial()
-    except RecordingError:  # nothing is seen at first; whoever runs a filter is told
+    except RecordingError:  # nothing is seen at first; running a filter reports it
         return START
     angle = np.radians(attitude_errors(start.rotation[None], truth.rotation[:1]).total[0])
     errors = {"initial_attitude": float(angle)}
@@ -210,7 +211,7 @@ def _noises(recording: Recording, sensors: Sequence[SensorCheck]) -> dict[str, f
         own = [one for one in sensors if one.name.startswith(kind) and one.noise > NONE]
         if not own:
             continue
-        # A filter takes what is repeated of a vector or a landmark for measurements of their own.
+        # A filter takes each repetition of a vector or a landmark for a new measurement.
         as_taken = [one.noise * math.sqrt(one.held) for one in own]
         noise = float(np.median(as_taken))
         found[key] = own[0].noise / math.sqrt(own[0].rate) if density else noise
@@ -219,23 +220,24 @@ def _noises(recording: Recording, sensors: Sequence[SensorCheck]) -> dict[str, f
         if kind in velocities and velocities[kind].lead:
             found[_PREFIXES[kind] + "lead"] = velocities[kind].lead
         biases = [one.bias / math.sqrt(3) for one in own if one.bias is not None]
-        if bias and biases:  # one that did not show may be small, but is not 0
+        if bias and biases:  # a bias that did not show may be small, but is not 0
             found[bias] = max(*biases, 0.1 * noise)
     return found
 
 
 def check(recording: Recording) -> DataCheck:
-    """Look for the usual mistakes in a recording, and tell what its sensors are like.
+    """Look for the usual mistakes in a recording, and estimate the properties of its sensors.
 
     Sensors are compared with each other and, where it is known, with the truth. Delays and some
-    mistakes can only be told with a truth, and those of an axis only if the body turns about it.
+    mistakes can only be detected with a truth, and those of an axis only if the body turns about
+    it.
 
     Args:
-        recording: Any; best read with `landmark_outlier="off"`, since landmarks that are mistaken
+        recording: Any recording; best read with `landmark_outlier="off"`, since wrong landmarks
             look like outliers.
 
     Raises:
-        ArgumentError: It is no recording.
+        ArgumentError: It is not a recording.
     """
     check_type("recording", recording, Recording)
     q = quantities(recording)
@@ -259,9 +261,9 @@ def check(recording: Recording) -> DataCheck:
 
 
 def _far_off(fits: dict[str, float]) -> list[str]:
-    """Relations that miss by as much as what they compare, in words; at most three, worst first.
+    """Relations with a misfit as large as the compared quantities, in words; the worst three.
 
-    A vector may: an acceleration is no direction of gravity where a body accelerates.
+    For a vector that is allowed: an accelerometer does not show gravity while the body accelerates.
     """
     far = [
         (misfit, name)
@@ -355,7 +357,7 @@ def _raw(recording: Recording, name: str) -> np.ndarray:
 
 
 def _there(recording: Recording, name: str) -> np.ndarray:
-    """(K,) at which samples a sensor has a measurement."""
+    """(K,) whether a sensor has a measurement at each sample."""
     kind, _, index = name.partition(" ")
     if kind in recording.sensors:
         return np.asarray(np.isfinite(recording.sensors[kind]).all(axis=1))

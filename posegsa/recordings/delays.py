@@ -1,11 +1,11 @@
-"""How late each sensor of a recording is, by the truth.
+"""The delay of each sensor of a recording, by comparison with the truth.
 
-What the truth predicts is shifted in time until it differs least from what is measured. The shift
-is a delay if it explains much of the difference; or if what is left is white, as the noise of a
-sensor is, and it explains more than chance does. What a body does beside turning, above all its
-accelerations, is not white, and correlates with its turns. A truth has noise too, which makes one
-shift better than the others where a body hardly moves: the shift must be the same whichever parts
-of a recording are taken (a bootstrap over BLOCKS).
+The prediction from the truth is shifted in time until it differs least from the measurement. The
+shift is a delay if it explains much of the difference; or if the residual is white, as the noise of
+a sensor is, and it explains more than chance does. The effects of a body's other motion, above all
+its accelerations, are not white, and correlate with its turns. A truth has noise too, which makes
+one shift better than the others where a body hardly moves: the shift must be the same whichever
+parts of a recording are taken (a bootstrap over BLOCKS).
 """
 
 from typing import NamedTuple
@@ -16,17 +16,17 @@ from posegsa.recordings.relations import FEWEST, Quantities
 from posegsa.recordings.rotations import product, quaternions
 
 LATE = 0.025
-"""Delay from which on a sensor is named [s]."""
+"""Delay above which a sensor is named [s]."""
 WIDEST = 0.2
 """Largest delay that is tried [s]."""
 EXPLAINED = 0.22
-"""Share of the squares that a delay that is named explains, where what is left is coloured."""
+"""Minimum share of the squares that a named delay explains, if the residual is not white."""
 CHANCE = 64.0
-"""Where it is white: this many times what chance explains of as many samples."""
+"""The same if it is white, as a multiple of the share that chance explains of as many samples."""
 WHITE = 0.4
-"""Correlation of neighbouring samples up to which what is left is white."""
+"""Correlation of neighbouring samples up to which the residual counts as white."""
 BLOCKS, DRAWS = 20, 400
-"""Parts of a recording, and draws of as many of them."""
+"""Number of blocks of a recording, and of bootstrap draws of as many blocks."""
 AGREE = 0.01
 """Share of the draws that may show another delay, by more than half of LATE."""
 SPAN = 0.05
@@ -36,17 +36,17 @@ LARGEST = 4.0
 
 
 class Delay(NamedTuple):
-    """How late a sensor is."""
+    """The delay of a sensor."""
 
     sensor: str
     delay: float
-    """[s]; below 0 if it is early."""
+    """Delay [s]; below 0 if the sensor is early."""
     explained: float
-    """Share of the squares of the differences that it explains."""
+    """Share of the squared differences that the delay explains."""
     chance: float
-    """The same as a multiple of what chance explains."""
+    """The same share as a multiple of what chance explains."""
     correlation: float
-    """Of neighbouring samples of what is left."""
+    """Correlation of neighbouring samples of the residual."""
     astray: float
     """Share of the draws of parts of the recording that show another delay."""
     widest: bool = False
@@ -54,7 +54,7 @@ class Delay(NamedTuple):
 
     @property
     def clear(self) -> bool:
-        """Whether the sensor is late, or early, beyond doubt."""
+        """Whether the sensor is clearly late or early."""
         white = self.correlation < WHITE and self.chance > CHANCE
         white = white and not self.widest  # a trend is best explained at an end too
         told = self.astray <= AGREE and (white or self.explained > EXPLAINED)
@@ -67,7 +67,7 @@ class Delay(NamedTuple):
 
 
 def late_sensors(q: Quantities) -> list[str]:
-    """The sensors that are late or early, in words; one line if all are by the same time."""
+    """The sensors that are late or early, in words; one line if all have the same delay."""
     every = delays(q)
     clear = [one for one in every if one.clear]
     if len(clear) > 2 and len(clear) == len(every):
@@ -79,13 +79,13 @@ def late_sensors(q: Quantities) -> list[str]:
 
 
 def delays(q: Quantities) -> list[Delay]:
-    """The delays of all sensors that the truth says something about."""
+    """The delays of all sensors that the truth predicts."""
     found = [_delay(one, q.time) for one in predicted(q)]
     return [one for one in found if one is not None]
 
 
 class Predicted(NamedTuple):
-    """What a sensor measures, and what the truth says of it."""
+    """The measurements of a sensor, and their prediction from the truth."""
 
     sensor: str
     unit: str
@@ -102,7 +102,7 @@ def predicted(q: Quantities) -> list[Predicted]:
     reach = max(1, round(0.5 * SPAN / float(np.median(np.diff(q.time)))))
 
     def new(name: str, values: np.ndarray) -> np.ndarray:
-        """Without the repetitions of a velocity that is held."""
+        """The values without the repetitions of a held velocity."""
         repeated = q.repeated.get(name)
         return values if repeated is None else np.where(repeated[:, None], np.nan, values)
 
@@ -127,7 +127,7 @@ def predicted(q: Quantities) -> list[Predicted]:
 
 
 def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
-    """The delay of measurements behind what is expected; None if none can be told."""
+    """The delay of measurements behind their prediction; None if it can't be estimated."""
     measured, expected = of.measured, of.expected
     step = float(np.median(np.diff(time)))
     widest = max(1, round(WIDEST / step))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 FEWEST = 20
-"""Changes from which on a signal can be told to be held."""
+"""Minimum number of changes from which a held signal is recognised."""
 REGULAR = 0.9
 """Share of the changes that must come after as many samples, to one, as most do."""
 TOGETHER = 12
@@ -16,16 +16,16 @@ OFTEN = 1.05
 
 
 class Held(NamedTuple):
-    """How a signal is held."""
+    """How often a signal has new values."""
 
     samples: float
-    """From one measurement to the next; 1 if it is not held."""
+    """Samples from one measurement to the next; 1 if it is not held."""
     fresh: np.ndarray
     """(K,) where a measurement is new."""
 
 
 def held(values: np.ndarray) -> Held:
-    """Whether a signal repeats its values, and how often; the longer rests of a body do not count.
+    """Whether a signal repeats its values, and how often; longer rests of the body do not count.
 
     A sensor of coarse resolution repeats its values too, but not for as many samples each time.
 

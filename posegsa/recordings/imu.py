@@ -1,8 +1,8 @@
 """Recordings of an inertial sensor, as the attitude filter reads them.
 
-Their two vectors are what is measured: the specific force, whose reference is gravity upwards, and
-the magnetic field, whose reference is the direction north. What else the filter needs to know of
-the field it learns. Such a recording has no position: it is attitude only.
+Their two vectors are measured signals: the specific force, whose reference is gravity upwards, and
+the magnetic field, whose reference is the direction north. The filter learns the rest of the field.
+Such a recording has no position: it is attitude only.
 """
 
 import math
@@ -77,7 +77,7 @@ def imu(
         MeasurementError: an array has the wrong shape or forbidden values.
     """
     if (rate is None) == (time is None):
-        raise RecordingError("rate, time: give one of both")
+        raise RecordingError("rate, time: give one of the two")
     if rate is not None:
         check_number("rate", rate, 1e-3, 1e6)
         more |= {"time_step": 1 / float(rate)}
@@ -195,7 +195,7 @@ def _first(name: str, values: np.ndarray) -> np.ndarray:
 
 
 def _in_words(acc: np.ndarray, mag: np.ndarray | None) -> dict[str, str]:
-    """What each sensor is used for."""
+    """The use of each sensor, in words."""
     words = {
         "vectors": "measured: specific force" + ("" if mag is None else " and magnetic field"),
         "accelerometer": _measured(acc),

@@ -1,8 +1,8 @@
-"""The usual mistakes in recordings: what each would have changed, and which fits far better.
+"""The usual mistakes in recordings, found by undoing each of them on trial.
 
-Each hypothesis undoes one mistake. The misfits of all relations (`relations`) are computed of the
-quantities as they are and as the hypothesis would have them. One that lowers them by far, on the
-whole, is named; nothing is mended.
+Each hypothesis undoes one mistake. The misfits of all relations (`relations`) are computed for the
+quantities as recorded and as the hypothesis changes them. A hypothesis that lowers them by far, on
+the whole, is named; nothing is corrected.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from posegsa.recordings.relations import AXES, Quantities, Vector, misfits
 from posegsa.recordings.rotations import matrices, quaternions
 
 BETTER = 2.5
-"""Ratio of misfits, of the relation that gains most, from which on a hypothesis is named."""
+"""Ratio of misfits, of the relation that improves most, above which a hypothesis is named."""
 FITS = 0.35
 """Misfit that the relation that gains most may have at most under the hypothesis."""
 LENGTHS = ("cm", 100.0), ("mm", 1000.0)
@@ -33,10 +33,10 @@ MOST = 6
 FITTED = 0.1
 """The same where the hypothesis has numbers that are taken from the data."""
 SUSPICIOUS = 0.06
-"""Largest misfit with the truth up to which nothing is looked for; of others, whose noise is not
-averaged, twice that."""
+"""Misfit with the truth up to which no mistake is looked for; for other relations, whose noise is
+not averaged, twice that."""
 AS_GOOD = 0.85
-"""Share of the largest gain from which on a simpler hypothesis is preferred."""
+"""Share of the largest improvement above which a simpler hypothesis is preferred."""
 TURNING, MOVING, TRUTH = "gyroscope|velocities", "velocity|velocities", "truth"
 """Names of the relations of the gyroscope, of the velocity and of the truth."""
 
@@ -47,7 +47,7 @@ class Mistake(NamedTuple):
     words: str
     """What seems wrong, and what to do."""
     times: float
-    """By how much the relation that gains most fits better."""
+    """Ratio by which the misfit of the most improved relation falls."""
 
     def __str__(self) -> str:
         times = f"{self.times:.2g}" if self.times < 10 else f"{self.times:.0f}"
@@ -61,7 +61,7 @@ class Hypothesis(NamedTuple):
     words: str
     mended: Callable[[Quantities], Quantities]
     complexity: int
-    """How much it changes; of equal ones the simplest is named."""
+    """How much it changes; of equally good ones the simplest is named."""
     of: str
     """Regular expression of the names of the relations that it is about."""
     fits: float = FITS
@@ -71,7 +71,7 @@ class Hypothesis(NamedTuple):
 def mistakes(q: Quantities) -> list[Mistake]:
     """The mistakes that quantities seem to have, the clearest first.
 
-    One is looked for, and if it is found another, in what is then mended.
+    Once one is found, the search continues on the corrected quantities.
     """
     found: list[Mistake] = []
     for _ in range(MOST):
@@ -112,14 +112,14 @@ def _clearest(q: Quantities) -> tuple[Hypothesis, float] | None:
 
 
 def _usual(relation: str) -> float:
-    """A misfit up to which nothing is looked for."""
+    """Misfit of a relation up to which no mistake is looked for."""
     if re.search(f", [{AXES}], ", relation):
-        return BETTER * FITS  # of one axis, against what changes on it, which may be little
+        return BETTER * FITS  # of one axis, relative to its changes, which may be small
     return SUSPICIOUS if "truth" in relation else 2 * SUSPICIOUS
 
 
 def hypotheses(q: Quantities) -> Iterator[Hypothesis]:
-    """All that can be told from the relations of these quantities."""
+    """All mistakes that the relations of these quantities can reveal."""
     degree = math.pi / 180
     yield Hypothesis(
         "angular_velocity looks like deg/s: divide by 57.3",
@@ -346,9 +346,9 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
 
 
 def _lacks_gravity(q: Quantities, vector: Vector) -> bool:
-    """Whether what a vector points to on the whole is not what its reference does.
+    """Whether a vector's mean direction is not that of its reference.
 
-    Accelerations, impacts too, cancel on the whole: only gravity remains of a specific force.
+    Accelerations, impacts included, cancel in the mean: only gravity remains of a specific force.
     """
     if misfits(q).get(f"{vector.name} and truth", 0.0) <= FITS:
         return False
@@ -510,9 +510,9 @@ def _angle_about_z(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _turned_axes() -> Iterator[tuple[str, np.ndarray]]:
-    """All ways to exchange axes and to change their signs, in words; but for the axes as they are.
+    """All ways to exchange axes and to change their signs, with words; without the identity.
 
-    The matrix maps what was written to what was measured.
+    The matrix maps recorded to measured values.
     """
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):

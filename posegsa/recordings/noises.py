@@ -5,17 +5,18 @@ The error of a velocity, summed up to E_k, has the Allan variance
     A(tau) = mean |E_k+2m - 2 E_k+m + E_k|^2 / (6 tau^2) = q^2 / tau + w^2 tau / 3 + 3 s^2 / tau^2,
 
 tau = m dt, by component: q is the density of its noise, w the random walk of its bias, s the noise
-of the truth, which a difference of neighbouring poses would take for noise of the velocity. They
+of the truth, which would look like noise of the velocity in differences of neighbouring poses. They
 are fitted to A over octaves of tau (IEEE Std 952; N. El-Sheimy, H. Hou, X. Niu, "Analysis and
 modeling of inertial sensors using Allan variance", IEEE Transactions on Instrumentation and
 Measurement 57(1), 2008). Medians of the squares keep outliers out.
 
-Before that, what a velocity's error has of the change of the true velocity is its lead
-(`filters.leads`): half a step for one that was measured at its time stamp.
+Before that, the part of a velocity's error that is proportional to the change of the true velocity
+is removed. Its factor is the lead (`filters.leads`): half a step for one measured at its time
+stamp.
 
 A vector's or a landmark's noise need not be white: accelerations, for instance, come and go. A
-filter that takes it for white should believe in what remains of it in means over up to SLOW: its
-noise is the largest sqrt(A(tau) tau / dt), with dt between measurements.
+filter that takes it for white should assume what remains of it in means over times up to SLOW: its
+noise is the largest sqrt(A(tau) tau / dt), with dt the time between measurements.
 """
 
 import math
@@ -30,38 +31,38 @@ from posegsa.recordings.rotations import product, quaternions
 SLOW = 2.0
 """Longest time over which the noise of vectors and landmarks is averaged [s]."""
 LONGEST = 1 / 8
-"""Longest tau, as a share of a recording; fewer intervals tell nothing."""
+"""Longest tau, as a share of a recording; fewer intervals would not be enough."""
 HORIZON, SMOOTHED = 0.5, 0.05
-"""Over which time a lead shows, and over which the true velocity is averaged for it [s]."""
+"""Time over which a lead is fitted, and over which the true velocity is averaged for it [s]."""
 MATTERS = 0.1
-"""What a lead must explain of an error over HORIZON, as a share of the rest of it."""
+"""Minimum part of an error over HORIZON that a lead explains, as a share of the rest."""
 SMALLEST = 0.05
-"""A smaller lead is not worth the states that it takes, in time steps."""
+"""A smaller lead is not worth its states in the filter, in time steps."""
 CLEAR = 4.0
-"""A walk counts from so many times the variance of the white noise on, at the longest tau."""
+"""A walk counts if its variance is this many times that of the white noise, at the longest tau."""
 FEWEST = 40
-"""Measurements that a noise needs."""
+"""Minimum number of measurements for estimating a noise."""
 OWN = 0.5
-"""A velocity's noise is at least this share of what its neighbouring samples show of it."""
+"""Minimum noise of a velocity, as a share of the noise between its neighbouring samples."""
 _NORMAL = 1.4826
 """Standard deviation of normal numbers over the median of their size."""
 
 
 class VelocityNoise(NamedTuple):
-    """What the truth tells of a velocity's errors."""
+    """The errors of a velocity, by comparison with the truth."""
 
     density: float
-    """Of white noise [unit sqrt(s)]."""
+    """Density of white noise [unit sqrt(s)]."""
     walk: float
     """Random walk of the bias [unit / sqrt(s)]; 0 if none is clear."""
     lead: float
-    """How many steps it is late (`filters.leads`)."""
+    """Delay in time steps (`filters.leads`)."""
     bias: np.ndarray
     """(3,) mean error."""
 
 
 def velocity_noises(recording: Recording) -> dict[str, VelocityNoise]:
-    """The errors of "angular_velocity" and "velocity", where a truth shows them."""
+    """The errors of "angular_velocity" and "velocity", if there is a truth."""
     truth = recording.truth
     if truth is None:
         return {}
@@ -91,7 +92,7 @@ def _velocity_noise(
 ) -> VelocityNoise:
     """The errors of a velocity (n, 3) whose true means over steps dt (n, 1) are known."""
     step = float(np.median(dt))
-    holding = held(sensed)  # its noise is white in means over what it measured alone
+    holding = held(sensed)  # its noise is white only in means over whole measurements
     late = np.where(usual[:, None], true - sensed, 0.0) * dt
     bias = -np.sum(late, axis=0) / np.sum(dt[usual])
     late += np.where(usual[:, None], bias, 0.0) * dt
@@ -129,7 +130,7 @@ def _change(true: np.ndarray, reach: int) -> np.ndarray:
 def _lead(late: np.ndarray, change: np.ndarray, span: int) -> float:
     """The share of summed changes (n, 3) in summed errors (n, 3), over intervals of `span` steps.
 
-    It is 0 where it explains little, and a multiple of one half where the data agree with that.
+    It is 0 if it explains little, and a multiple of one half if the data agree with that.
     """
     y, x = late[span:] - late[:-span], change[span:] - change[:-span]
     if len(y) < FEWEST or not np.any(x):
@@ -147,8 +148,8 @@ def allan_variance(sums: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarra
     """The Allan variance of summed errors (n, 3) at octaves of tau: (t,) [s], (t,).
 
     Args:
-        sums: Errors times time, added up; step by step.
-        step: Time from one to the next [s].
+        sums: Cumulative sums of errors times time steps.
+        step: Time from one sum to the next [s].
     """
     taus, found, m = [], [], 1
     while m <= max(2, LONGEST * len(sums)) and len(sums) - 2 * m >= FEWEST:
@@ -165,8 +166,8 @@ def noise_of(errors: np.ndarray, period: float) -> float:
     """Standard deviation of each component of errors (n, 3), if they are to be taken for white.
 
     Args:
-        errors: Of one sensor, one after the other.
-        period: Time from one to the next [s].
+        errors: The errors of one sensor, in order of time.
+        period: Time from one error to the next [s].
     """
     off = errors - np.median(errors, axis=0)
     tau, variance = allan_variance(np.cumsum(off, axis=0) * period, period)

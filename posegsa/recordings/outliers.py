@@ -42,7 +42,7 @@ def landmark_outliers(
         angular_velocity: (K, 3) body frame [rad/s], from each sample to the next.
         velocity: (K, 3) body frame [m/s], from each sample to the next.
         time_step: (K,) to the next sample [s].
-        factor: of the limit, in median steps.
+        factor: the limit, in median steps.
     """
     outliers = np.zeros(seen.shape, bool)
     if not seen.any():

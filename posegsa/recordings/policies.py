@@ -5,4 +5,4 @@ from typing import Literal
 Policy = Literal["refuse", "hold", "interpolate"]
 """Bridge nothing, hold the last velocities, or interpolate (`recordings.bridging`)."""
 LONGEST_GAP = 1.0
-"""Longest time that is bridged, unless another is given [s]."""
+"""Default of the longest time that is bridged [s]."""

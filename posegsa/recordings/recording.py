@@ -173,7 +173,7 @@ class Recording:
         attitude_only = velocity is None
         if attitude_only and landmarks is not None:
             raise RecordingError(
-                "velocity: None beside landmarks; allowed: (K, 3) [m/s], or neither (attitude only)"
+                "velocity: None with landmarks; allowed: (K, 3) [m/s], or neither (attitude only)"
             )
         linear = np.zeros_like(omega) if velocity is None else velocity
         linear = finite_array("velocity", linear, (samples, 3), finite=False)
@@ -185,7 +185,7 @@ class Recording:
         )
         omega, linear = np.hsplit(known_everywhere(found, velocities, bridge), 2)
         if truth_rotation is not None and truth_quaternion is not None:
-            raise RecordingError("truth_rotation, truth_quaternion: give one of both")
+            raise RecordingError("truth_rotation, truth_quaternion: give one of the two")
         truth = _truth(samples, truth_rotation, truth_quaternion, truth_position, attitude_only)
         values = checked_arrays(
             time_step=np.append(np.diff(found.time), np.median(np.diff(found.time))),
@@ -267,7 +267,7 @@ class Recording:
             truth_quaternion: reference of R, (N, 4) as (w, x, y, z).
             truth_position: reference of P, (N, 3), inertial frame [m]. `read_tum` reads both.
             sensors: raw signals (N, 3), by name (`Recording.sensors`).
-            clock: whose stamps the recording has: the name of a stream, such as "landmarks[0]", or
+            clock: the stamps of the recording: the name of a stream, such as "landmarks[0]", or
                 stamps (K,).
             between: for "velocity", "vectors", "landmarks", "truth" or another stream what it is
                 between its samples: "missing", "hold" or "interpolate", linearly between the sample
@@ -322,7 +322,7 @@ class Recording:
                 frames. By default they are read from the TOML file beside the bag
                 (`posegsa.recordings.beside`); without one they are the only Imu and MagneticField.
             truth: a TUM file with the truth, instead of a topic.
-            stamps: "header" (default), when it was measured, or "bag", when it came into the bag.
+            stamps: "header" (default), the time of measurement, or "bag", the time of recording.
             more: further arguments of `from_streams` and `from_arrays`, such as references,
                 weights, `between` and `bridge`.
 
@@ -342,7 +342,7 @@ class Recording:
         if reference is not None:
             if "truth_position" in streams:
                 raise RecordingError(
-                    f"{path}: truth: a topic and {reference}; allowed: one of both"
+                    f"{path}: truth: a topic and {reference}; allowed: one of the two"
                 )
             streams |= read_tum(reference)
             sources["truth"] = str(reference)

@@ -1,6 +1,6 @@
-"""Relations that the quantities of a recording must fulfil, and how far they miss them.
+"""Relations between the quantities of a recording, and their misfits.
 
-A body that turns and moves ties its sensors together. Over an interval of HORIZON the gyroscope
+The motion of the body relates its sensors to each other. Over an interval of HORIZON the gyroscope
 gives a turn dR and the velocity a displacement dP in the body frame of its beginning, and
 
     turn and truth       R1 = R0 dR                      vector and turn     b1 = dR^T b0
@@ -10,13 +10,13 @@ gives a turn dR and the velocity a displacement dP in the body frame of its begi
 
 A vector that points up may be gravity alone, or what an accelerometer measures. Its weighted means
 over 2 T, R b - r in the inertial frame, are then (P(t + T) - 2 P(t) + P(t - T)) / T^2 exactly, with
-weights that fall to 0 at both ends, however hard the body is shaken. P is the truth's, or that of
-both velocities. The better of both meanings counts. By axis of the body it tells signs that make
-little difference to the whole.
+weights that fall to 0 at both ends, however hard the body is shaken. P is that of the truth, or of
+both velocities. The better of both readings counts. Taken by axis of the body, it also detects
+wrong signs that hardly change the total.
 
-A misfit is the median distance of both sides, as a share of the size of what is compared: 0.02 to
-0.2 for what sensors measure, about 1 where something is mistaken. Constant biases of the velocities
-are left out of it. Where the body hardly turns or moves a relation says nothing, and is missing.
+A misfit is the median distance of both sides, as a share of the size of the compared quantity: 0.02
+to 0.2 for real sensors, about 1 if there is a mistake. Constant biases of the velocities are left
+out of it. If the body hardly turns or moves, a relation says nothing and is left out.
 """
 
 import itertools
@@ -38,20 +38,20 @@ HORIZON = 0.5
 FASTEST = 0.008
 """Shortest time step that is used [s]; a faster recording is averaged."""
 MOST, PART = 6000, 1500
-"""Maximum number of samples that are used, and the length of the parts that they come in: those in
-which the body turns most."""
+"""Maximum number of samples that are used, and the length of the parts that they are taken in: the
+parts in which the body turns most."""
 TURNED, MOVED = 0.03, 0.03
-"""Median turn [rad] and displacement [m] of an interval below which relations are missing."""
+"""Median turn [rad] and displacement [m] of an interval below which relations are left out."""
 FEWEST = 20
-"""Intervals, or measurements, that a relation needs."""
+"""Minimum number of intervals, or measurements, for a relation."""
 AVERAGED = 20
 """Measurements of a vector that are averaged in the inertial frame, where it is constant."""
 FINEST = 0.01
-"""Smallest misfit: a better one is as good."""
+"""Smallest misfit: a smaller one counts as equal to it."""
 SHAKEN = 0.2
 """T of the means of specific force [s]."""
 SPARSE = 0.05
-"""Share of the weights that measurements must have in such a mean."""
+"""Minimum share of the weights in such a mean that belongs to measurements."""
 LIVELY = 0.005
 """Change of the specific force of an axis, as a share of gravity, below which it says nothing."""
 AXES = "xyz"
@@ -78,7 +78,7 @@ class Vector:
 
 @dataclass(frozen=True)
 class Quantities:
-    """What relations are about, at K samples; NaN where missing."""
+    """The quantities that relations compare, at K samples; NaN where missing."""
 
     time: np.ndarray
     """(K,) [s]."""
@@ -94,31 +94,31 @@ class Quantities:
     landmarks: tuple[np.ndarray, ...]
     """(K, 3) of each landmark [m], body frame."""
     places: tuple[np.ndarray, ...]
-    """(3,) of each, inertial frame [m]."""
+    """(3,) of each landmark, inertial frame [m]."""
     repeated: dict[str, np.ndarray] = field(default_factory=dict)
-    """(K,) where a velocity that is held has no new measurement, by its name."""
+    """(K,) where a held velocity has no new measurement, by the velocity's name."""
     known: dict[Any, Any] = field(default_factory=dict, compare=False)
-    """What has been computed of them, by what it is and by the arrays that it was computed of."""
+    """Cache of computed results, by name and by the identities of their input arrays."""
 
     def changed(self, **changes: Any) -> "Quantities":
-        """With some of them replaced."""
+        """The quantities with some of them replaced."""
         return replace(self, **changes)
 
     def once(self, what: str, of: tuple[Any, ...], compute: Callable[[], Any]) -> Any:
-        """What is computed of some arrays, if none of these has been replaced since."""
+        """A result computed from some arrays, from the cache if none of them has been replaced."""
         key = what, *map(id, of)
         if key not in self.known:
-            self.known[key] = of, compute()  # the arrays are kept, so that no other has their id
+            self.known[key] = of, compute()  # keeping the arrays alive keeps their ids unique
         return self.known[key][1]
 
 
 def quantities(recording: Recording, *, averaged: bool = True) -> Quantities:
-    """What a recording holds, at a rate and of a length that can be compared in moments.
+    """The quantities of a recording, thinned and cut so that comparisons are quick.
 
     Args:
-        recording: Any.
-        averaged: Whether vectors are means of the samples that are left out; else one of them,
-            which has the noise of a measurement.
+        recording: Any recording.
+        averaged: Whether vectors are means over the samples that are left out; otherwise single
+            samples, with the noise of a measurement.
     """
     m = {name: np.asarray(a, np.float64) for name, a in recording.measurements._asdict().items()}
     count = recording.samples
@@ -132,12 +132,12 @@ def quantities(recording: Recording, *, averaged: bool = True) -> Quantities:
     within = rows[:, None] + np.arange(step)
 
     def first(a: np.ndarray) -> np.ndarray:
-        """The first of a few samples that is there."""
+        """The first measured one of a few samples."""
         there = np.isfinite(a[within]).reshape(*within.shape, -1).all(axis=-1)
         return a[within[np.arange(len(rows)), there.argmax(axis=1)]]
 
     def mean(a: np.ndarray) -> np.ndarray:
-        """The mean (K, 3) of what is there of a few samples: an impact lasts for less."""
+        """The mean (K, 3) of the measured ones of a few samples: an impact is shorter than that."""
         some, there = a[within], np.isfinite(a[within]).all(axis=-1, keepdims=True)
         count = there.sum(axis=1)
         found = np.where(there, some, 0.0).sum(axis=1) / np.maximum(count, 1)
@@ -176,7 +176,7 @@ def quantities(recording: Recording, *, averaged: bool = True) -> Quantities:
 
 
 def misfits(q: Quantities) -> dict[str, float]:
-    """The misfit of each relation that says something, by its name."""
+    """The misfit of each relation that the motion can show, by name."""
     found: dict[str, float | None] = {}
 
     def relate(name: str, compute: Callable[..., float | None], *more: Any, of: tuple) -> None:
@@ -259,7 +259,7 @@ def _inverse(q: np.ndarray) -> np.ndarray:
 
 
 def _intervals(q: Quantities, there: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """First and last samples of intervals of about HORIZON, of those that are there (K,)."""
+    """First and last samples of intervals of about HORIZON, among the measured ones (K,)."""
     at = np.flatnonzero(there)
     if len(at) < FEWEST:
         return None
@@ -345,7 +345,7 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
         return _median_length(seen - np.median(seen, axis=0)) / max(size, 1e-12)
     known = np.broadcast_to(vector.reference, vector.body.shape)
     r = known[there]
-    r = r * (size / max(_median_length(r), 1e-12))  # its length is another relation
+    r = r * (size / max(_median_length(r), 1e-12))  # its length has a relation of its own
     found = _median_length(_averaged(seen - r)) / max(size, 1e-12)
     if (force := _true_force(q, vector)) is None:
         return found
@@ -354,7 +354,7 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
 
 
 def _axis_and_truth(q: Quantities, vector: Vector, k: int) -> float | None:
-    """Of one axis of a vector that points up, as a share of the change of what is expected."""
+    """Misfit of one axis of a vector that points up, as a share of the change of its prediction."""
     if (force := _true_force(q, vector)) is None:
         return None
     assert q.rotation is not None
@@ -375,11 +375,11 @@ class Force(NamedTuple):
     body: np.ndarray
     """(K, 3) as measured."""
     pulled: np.ndarray
-    """(K, 3) what the body's acceleration has in them."""
+    """(K, 3) the contribution of the body's acceleration."""
 
 
 def _true_force(q: Quantities, vector: Vector) -> Force | None:
-    """A vector that points up with what the true motion adds to gravity; None if unknown."""
+    """A vector that points up, with the true acceleration in it; None if that is unknown."""
     if q.rotation is None or q.position is None or not vector.is_up:
         return None
     of = q.time, vector.body, vector.reference, q.rotation, q.position
@@ -388,7 +388,7 @@ def _true_force(q: Quantities, vector: Vector) -> Force | None:
 
 
 def _meanings(q: Quantities, vector: Vector) -> list[Vector]:
-    """A vector as measured; and if it points up, without the acceleration by both velocities."""
+    """A vector as measured; if it points up, also without the acceleration by both velocities."""
     if q.velocity is None or not vector.is_up:
         return [vector]
 
@@ -411,7 +411,7 @@ def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Fo
     force = np.einsum("kij,kj->ki", R[there], vector.body[there])
     weighed = np.zeros((count, 4))
     weighed[there] = np.concatenate([force, np.ones((len(force), 1))], axis=1)
-    for _ in range(2):  # two equal means after each other have the weights that are needed
+    for _ in range(2):  # two equal means in succession have the triangular weights
         sums = np.concatenate([np.zeros((1, 4)), np.cumsum(weighed, axis=0)])
         weighed = (sums[n:] - sums[:-n]) / n
     weighed = weighed[1:-1]

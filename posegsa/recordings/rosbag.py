@@ -27,9 +27,9 @@ from posegsa.recordings.checked_files import MAX_BYTES, as_path, reading
 from posegsa.recordings.streams import Stream
 
 Topics: TypeAlias = Mapping[str, str | Sequence[str]]
-"""The topic of each quantity; of vectors and landmarks a list of topics."""
+"""The topic of each quantity; a list of topics for vectors and for landmarks."""
 Stamps: TypeAlias = Literal["header", "bag"]
-"""Time stamps of the messages: when they were measured, or when they came into the bag."""
+"""Time stamps of the messages: the time of measurement, or the time of recording into the bag."""
 
 _POSES = {
     "geometry_msgs/msg/PoseStamped": "pose",
@@ -65,10 +65,10 @@ FIELDS: dict[str, dict[str, str]] = {
     "accelerometer": {_IMU: "linear_acceleration"},
     "magnetometer": {_FIELD: "magnetic_field"},
 }
-"""For each quantity the types of message that have it, and where in the message it is."""
+"""For each quantity, the message types that contain it, and its place in the message."""
 TRUTH = "truth_quaternion", "truth_position"
 QUANTITIES = (*(name for name in FIELDS if name not in TRUTH), "truth")
-"""What a topic can be named for."""
+"""The quantities that a topic can be given for."""
 SEVERAL = "vectors", "landmarks"
 INERTIAL = "map", "odom", "world", "earth"
 """Names of frames that are not the body's (REP-105)."""
@@ -96,7 +96,7 @@ def read_rosbag(
 
     Raises:
         RecordingError: the bag cannot be read; or a topic is missing, empty or of another type, or
-            what it says of its frames or covariances does not fit; names it.
+            its frames or covariances do not fit; names it.
     """
     try:
         from rosbags.highlevel import AnyReader
@@ -113,7 +113,7 @@ def read_rosbag(
         raise RecordingError(f"{path}: {size} bytes; allowed: up to 4 GiB")
     if stamps not in get_args(Stamps):
         raise RecordingError(f"stamps = {stamps!r}; allowed: {', '.join(get_args(Stamps))}")
-    # Bags of older versions of ROS 2 do not say what is in the messages.
+    # Bags of older versions of ROS 2 do not contain the message definitions.
     usual = get_typestore(Stores.LATEST)
     with reading(path), AnyReader([path], default_typestore=usual) as bag:
         held = {name: str(info.msgtype) for name, info in bag.topics.items()}
@@ -177,7 +177,7 @@ def _imu(path: Path, held: Mapping[str, str]) -> Topics:
 
 
 def _unnamed(path: Path, held: Mapping[str, str], used: Collection[str]) -> list[str]:
-    """A note of the topics that a bag holds beside those of its inertial sensor, if there are."""
+    """A note on the topics that a bag holds in addition to those of its inertial sensor, if any."""
     quantities = "velocity", "vectors", "landmarks", "truth_position"
     more = {
         quantity: [topic for topic, kind in held.items() if kind in FIELDS[quantity]]

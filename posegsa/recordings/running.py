@@ -85,7 +85,7 @@ def run_filter(
 def as_seen(filter: Filter, recording: Recording) -> Recording:
     """A recording as a filter reads it: a Kalman filter takes each weight above 0 as 1.
 
-    Weights say how long a measurement stands for, which its covariance accounts for already.
+    Weights compensate for the rate of a sensor, which the filter's covariance does already.
     """
     if not isinstance(filter, KalmanFilter):
         return recording

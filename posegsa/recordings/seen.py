@@ -14,10 +14,10 @@ def check_something_is_seen(
     """Raise a RecordingError, with advice, unless there is a vector or a landmark.
 
     Args:
-        name: Of the recording.
-        measurements: Of the recording.
+        name: Name of the recording.
+        measurements: Measurements of the recording.
         sensors: Names of its raw signals.
-        notes: Of the recording, such as columns that were not used.
+        notes: Notes of the recording, such as columns that were not used.
     """
     if np.shape(measurements.vectors)[1] or np.shape(measurements.landmarks)[1]:
         return

@@ -48,7 +48,7 @@ def aligned(measurements: Measurements, samples: slice, bias: np.ndarray | None)
 
     Args:
         measurements: of NumPy arrays.
-        samples: of which the means are taken.
+        samples: the samples to average over.
         bias: (6,) of the velocities; None for their means, as at rest.
 
     Raises:

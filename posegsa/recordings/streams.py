@@ -21,7 +21,7 @@ from posegsa.words import counted
 Stream: TypeAlias = tuple[ArrayLike, ArrayLike]
 """Time stamps (N,), integers in ns or floats in s, and values (N, 3), of a quaternion (N, 4)."""
 Between: TypeAlias = Literal["missing", "hold", "interpolate"]
-"""What a stream is at the clock's stamps between two of its own: missing, its last value, or
+"""Value of a stream at the clock's stamps between two of its own: missing, its last value, or
 interpolated linearly (a quaternion along the shortest rotation)."""
 VELOCITIES = "angular_velocity", "velocity"
 TRUTH, QUATERNION = "truth", "truth_quaternion"
@@ -253,7 +253,7 @@ def _nearest(ticks: np.ndarray, stream: _Stream) -> tuple[np.ndarray, str]:
     outside = (stream.time < ticks[0]) | (stream.time > ticks[-1])
     apart = outside | (ticks[right] - ticks[left] > GAP * usual)
     near = np.flatnonzero(~apart | (away <= 0.5 * usual))
-    # Of several samples at one stamp the nearest is used, which is written last.
+    # If several samples go to one stamp, the nearest is written last and stays.
     order = near[np.argsort(-away[near], kind="stable")]
     values = np.full((len(ticks), stream.values.shape[1]), np.nan)
     values[at[order]] = stream.values[order]

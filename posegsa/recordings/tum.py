@@ -86,7 +86,7 @@ def with_tum(
     """Arguments of `Recording.from_arrays` with the truth from a TUM file.
 
     Args:
-        arguments: with "time", by the clock of the file.
+        arguments: arguments with "time", on the clock of the file.
         path: the file.
         between: as in `Recording.from_streams`.
 
@@ -96,7 +96,7 @@ def with_tum(
     """
     if given := [name for name in arguments if name.startswith("truth_")]:
         raise RecordingError(
-            f"truth = {str(path)!r}: beside {', '.join(given)}; allowed: one truth"
+            f"truth = {str(path)!r}: in addition to {', '.join(given)}; allowed: one truth"
         )
     if "time" not in arguments:
         raise RecordingError(f"truth = {str(path)!r}: allowed with time stamps")

@@ -15,7 +15,7 @@ DEGREE = math.pi / 180
 WINDOW = 0.1
 """Averaging time of the signals before they are compared [s]."""
 MIN_TURN = 0.1
-"""Sum of squared turns by the accelerometer [rad^2] that it takes to determine the unit: 18 deg in
+"""Minimum sum of squared turns by the accelerometer [rad^2] for determining the unit: 18 deg in
 one turn."""
 GRAVITIES = 0.5, 2.0
 """Range of the median length of accelerations in multiples of g."""

@@ -44,7 +44,7 @@ NO_FAMILY = config.FamilyConfig(attitude_error="off", position_error="off", rand
 """A family whose scenarios differ only in their noise."""
 
 
-# Costs may be 0, infinite or very large.
+# Costs may be 0, infinite or very large: do not warn about the arithmetic.
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
     """A result as one HTML page; pictures are the PNG files of its figures by name."""

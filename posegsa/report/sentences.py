@@ -19,7 +19,7 @@ from posegsa.search.population import CONFIGURED
 
 
 def recorded_errors(on: OnRecordings) -> dict[str, str]:
-    """The errors of a filter and of those beside it on the same recordings, by name."""
+    """The errors of a filter and of the compared filters on the same recordings, by name."""
     label = "held out" if on.held_out else "tuned on"
     each = {f"This filter, {label}": on.held_out or on.training}
     each |= {f"{name}, {label}": scores for name, scores in on.baselines.items() if on.held_out}
@@ -55,7 +55,7 @@ def cost_words(result: Result) -> str:
 
 
 def worse_words(judged: OnScenarios) -> str:
-    """Where the judged filter's errors are larger than those of the filter beside it, if any."""
+    """Which errors of the judged filter are larger than those of the compared filter, if any."""
     contenders, beside = judged.evaluation.contenders, judged.beside
     tuned, constant = (contenders[name].metrics for name in (judged.evaluation.own, beside))
     worse = []
@@ -79,7 +79,7 @@ def worse_words(judged: OnScenarios) -> str:
 
 
 def _starting(evaluation: Evaluation) -> str:
-    """The judged filter, at the start of a sentence."""
+    """The name of the judged filter, for the start of a sentence."""
     words = called(evaluation.own)
     return words[:1].upper() + words[1:]
 

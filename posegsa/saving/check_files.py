@@ -1,4 +1,4 @@
-"""The files of a look at recordings: a text, and a figure of each."""
+"""The files of a check of recordings: a text, and a figure of each recording."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -41,7 +41,7 @@ class Checkpoint(NamedTuple):
     about: dict[str, Any]
     """What was stored besides the search."""
     arrays: dict[str, tuple[str, str, tuple[int, ...]]]
-    """Dtypes and shapes by path in the search, as of `_described`; used for checks only."""
+    """Dtypes and shapes by path in the search, from `_described`; used for checks only."""
     numbers: memoryview
     """The bytes of all arrays, one after the other."""
 
@@ -84,7 +84,7 @@ def save_search(path: str | Path, search: Search, about: dict[str, Any] | None =
 
     Args:
         path: The file; its folder exists.
-        search: From `start`, `advance` or `minimise`, or as a callback gets it.
+        search: From `start`, `advance` or `minimise`, or the argument of a callback.
         about: Further data to store, in JSON's types.
 
     Raises:

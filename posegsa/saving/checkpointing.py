@@ -123,7 +123,7 @@ def newest_checkpoint(folder: Path) -> CheckpointedRun:
         CheckpointError: There is no valid one, or it has another format.
     """
     if not folder.is_dir():
-        raise CheckpointError(f"{folder}: is not a folder; needed: that of a run to go on with")
+        raise CheckpointError(f"{folder}: is not a folder; needed: the folder of a run to resume")
     damaged = []
     for path in checkpoint_paths(folder):
         try:
@@ -132,9 +132,9 @@ def newest_checkpoint(folder: Path) -> CheckpointedRun:
             damaged.append(str(error))
             continue
         for message in damaged:
-            warnings.warn(f"{message}; going on from {path.name}", PosegsaWarning, stacklevel=2)
+            warnings.warn(f"{message}; resuming from {path.name}", PosegsaWarning, stacklevel=2)
         return _run_of(found)
-    none = f"{folder}: holds no checkpoint to go on from"
+    none = f"{folder}: holds no checkpoint to resume from"
     if not damaged:
         none += (
             "; a run has none that was stopped before its search began, or whose optimiser's state "
@@ -168,8 +168,8 @@ class CheckpointWriter:
 
     It stops the search if a signal has asked for that, even after the last chunk; the process that
     resumes the run then judges it. A search that ends early, for whatever reason, is saved. If a
-    checkpoint can't be written, a warning says so and the search goes on until the next one is due;
-    only the very first one must succeed.
+    checkpoint can't be written, a warning says so and the search continues until the next one is
+    due; only the very first one must succeed.
     """
 
     folder: Path
@@ -273,7 +273,7 @@ class CheckpointWriter:
                 )
             return
         self._saved, self._saved_at, self._warned = self._iteration, self.clock(), False
-        # The last few are kept. Later ones, which were damaged, are removed.
+        # The latest few are kept. Checkpoints of later iterations, which were damaged, are removed.
         with contextlib.suppress(OSError):
             numbered = [p for p in checkpoint_paths(self.folder) if p.stem.isdecimal()]
             later = [p for p in numbered if int(p.stem) > self._iteration]
@@ -297,7 +297,7 @@ class CheckpointWriter:
 def how_to_resume(folder: Path, recorded: RecordedTask | None) -> str:
     """How to resume the run in a folder, in words."""
     again = " --recording ... (the same)" if recorded is not None else ""
-    return f"go on with: posegsa tune --resume {folder}{again}"
+    return f"resume with: posegsa tune --resume {folder}{again}"
 
 
 def checkpoint_paths(folder: Path) -> list[Path]:

@@ -54,7 +54,7 @@ def continued(
     except RunFolderError:
         if not overwrite:
             raise
-        # Otherwise the old table and figure would stay beside the new searches until the end.
+        # Otherwise the old table and figure would stay with the new searches until the end.
         replace_files(folder, {}, remove=(DATA, TABLE, FIGURE))
         return comparison
     return replace(

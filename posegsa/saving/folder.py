@@ -65,7 +65,7 @@ def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
             )
         if holds_run(folder):
             raise RunFolderError(
-                f"{folder}: holds an unfinished run; go on with it (--resume; resume=...), choose "
+                f"{folder}: holds an unfinished run; resume it (--resume; resume=...), choose "
                 "another folder, or replace the run (--overwrite; overwrite=True)"
             )
     try:

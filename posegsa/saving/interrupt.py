@@ -49,7 +49,7 @@ def deferred_signals() -> Iterator[StopRequest]:
 
 @contextmanager
 def resumable(how: Callable[[], str]) -> Iterator[None]:
-    """Add to an interruption within the context the message how to resume.
+    """Add to an interruption within the context a message that says how to resume.
 
     Args:
         how: Returns the message; it must not wait for compiled code.

@@ -92,7 +92,7 @@ def from_json(
             f"schema {schema}: run it again, or read it with the version that wrote it"
         )
     digest = data.pop("digest", None)
-    record = from_plain(kind, data, source)  # first: it names the field that is wrong
+    record = from_plain(kind, data, source)  # before the digest: it names the wrong field
     if not edited and digest != _digest(data):
         raise RunFolderError(
             f"{source}: was changed after posegsa wrote it (its digest differs); if on purpose, "
@@ -118,7 +118,7 @@ def from_plain(kind: type[Record], data: object, source: Path) -> Record:
 
 def _words(problem: Mapping[str, Any]) -> str:
     """One problem that pydantic found: the path of the field, its value and what is allowed."""
-    path = ".".join(map(str, problem["loc"])) or "all of it"
+    path = ".".join(map(str, problem["loc"])) or "the whole record"
     given = problem["input"]
     given = "" if isinstance(given, dict | list) else f" = {reprlib.repr(given)}"
     reason = problem.get("ctx", {}).get("error") or problem["msg"]
@@ -147,7 +147,7 @@ _SCALARS = {
 
 
 def _strict(kind: Any) -> Any:
-    """The type with which pydantic reads a type from plain data strictly."""
+    """The annotated type with which pydantic reads a type strictly from plain data."""
     origin: Any = typing.get_origin(kind)
     parts = typing.get_args(kind)
     if origin is Annotated:
@@ -182,7 +182,7 @@ def _strict_record(kind: Any) -> Any:
 
 
 def _made(kind: Any, found: BaseModel) -> Any:
-    """The record of the fields that were read."""
+    """The record made of the fields that were read."""
     return kind(**dict(found))
 
 

@@ -63,7 +63,7 @@ def write_replays(
     described = [each.recording.describe() for each in replays]
     files[TABLE] = "\n\n".join([replay_table(replays), *described, ""]).encode()
     files[DATA] = (json_text(plain(data)) + "\n").encode()
-    # Files of an earlier replay that this one may not have.
+    # Remove files of an earlier replay that this one may not have.
     optional = "true.tum", "judged.tum", *(f"{name}.png" for name in REPLAY_FIGURES)
     with lock(folder):
         replace_files(

@@ -1,4 +1,4 @@
-"""A result in its folder: one file that counts, and tables, figures and a report made from it."""
+"""A result in its folder: result.json, and tables, figures and a report made from it."""
 
 import reprlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -55,9 +55,9 @@ def save(
 
     Args:
         result: From `tune`, `evaluate` or `configured`.
-        folder: Where; created if missing.
+        folder: The folder; created if missing.
         overwrite: Replace another run's files there.
-        figures: Names of those to draw; by default all that have something to show.
+        figures: Names of the figures to draw; by default all that have something to show.
 
     Returns:
         The folder.
@@ -74,7 +74,7 @@ def save(
 
 
 def run_figures(figures: Iterable[str] | None) -> list[str]:
-    """Names of a run's figures from a user, checked; None is all.
+    """A user's names of a run's figures, checked; None means all.
 
     Raises:
         ArgumentError: There is no such figure.
@@ -92,10 +92,11 @@ def write_result(
     """Write all files of a result at once, to a folder that the caller has locked.
 
     Args:
-        result: What is written.
-        folder: Where.
-        figures: Names of those that are drawn, by default all; others that are there go.
-        own_checkpoints: Whether the checkpoints in the folder are this result's; else they go.
+        result: The result to write.
+        folder: The folder.
+        figures: Names of the figures to draw, by default all; other figures in the folder are
+            removed.
+        own_checkpoints: Whether the folder's checkpoints belong to this result; others are removed.
 
     Raises:
         RunFolderError: They can't be written; the folder is as it was.
@@ -121,7 +122,7 @@ def write_result(
 
 
 def written(result: Result, figures: list[str] | None = None) -> list[str]:
-    """The names of the files that `write_result` writes of a result, for a person."""
+    """The names of the files that `write_result` writes for a result, as readable text."""
     names = [RESULT, SUMMARY]
     if result.search is not None:
         names.append(HISTORY)
@@ -133,7 +134,7 @@ def written(result: Result, figures: list[str] | None = None) -> list[str]:
 
 
 def _is_judged(result: Result) -> bool:
-    """Whether there is something to report of a result."""
+    """Whether a result has been judged, so that there is something to report."""
     return result.on_scenarios is not None or result.on_recordings is not None
 
 
@@ -141,11 +142,11 @@ def load(folder: str | Path, *, filter: OwnFilter | None = None, edited: bool = 
     """Read a result from its folder: result.json alone.
 
     Args:
-        folder: That of a run.
-        filter: The user's own filter, where the result is of one: it is never imported because a
-            file names it.
-        edited: Read a file that was changed after posegsa wrote it. What is made from it (tables,
-            figures, report) is not made again.
+        folder: The folder of a run.
+        filter: The user's own filter, if the result is of one: it is never imported because a file
+            names it.
+        edited: Read a file that was changed after posegsa wrote it. Tables, figures and report are
+            not made again.
 
     Raises:
         RunFolderError: It is not a run's folder; or the file is damaged, was changed, has another
@@ -181,10 +182,10 @@ def load(folder: str | Path, *, filter: OwnFilter | None = None, edited: bool = 
 def _keys_beside(
     result: Result, contenders: Mapping[str, Contender]
 ) -> Iterator[tuple[str, list[str], list[str]]]:
-    """The keys of the numbers of the filters beside a result's own: name, found, needed."""
+    """Keys of the numbers of the filters compared with the result's own: name, found, needed."""
     for name, one in experiments_beside(result.experiment, result.filter).items():
         if name in contenders and (also := sorted(contenders[name].filter.also)):
-            # Replayed gains are run with the numbers that stand beside the filter's own schedule.
+            # Replayed gains are run with the numbers tuned along with the filter's own schedule.
             keys = result.also if name == REPLAYED else [each.key for each in one.also]
             needed = sorted(keys)
             yield f"on_scenarios: keys of filter.also of {name}", also, needed

@@ -25,11 +25,11 @@ def folder_to_resume(resume: str | Path, out: str | Path | None, overwrite: bool
     """
     folder = as_path("resume", resume)
     if overwrite:
-        raise ArgumentError("overwrite = True; allowed: False, as resume goes on with a run")
+        raise ArgumentError("overwrite = True; allowed: False, as resume continues a run")
     if out is not None and Path(out) != folder:
         raise ArgumentError(f"out = {out!s}; allowed: nothing, as resume = {folder} is the folder")
     if not folder.is_dir():
-        raise RunFolderError(f"{folder}: is not a folder; needed: that of a run to go on with")
+        raise RunFolderError(f"{folder}: is not a folder; needed: the folder of a run to resume")
     return folder
 
 
@@ -70,17 +70,17 @@ def check_same_recordings(
             "--recording, --held-out)",
         )
     if asked.position_weight != stored.position_weight:
-        words = f"{stored.position_weight!r}, as in the run to go on with"
+        words = f"{stored.position_weight!r}, as in the run to resume"
         refuse(f"position_weight = {asked.position_weight!r}", words)
     for name, own, kept in (
         ("recordings", asked.training, stored.training),
         ("held_out", asked.held_out, stored.held_out),
     ):
         if len(own) != len(kept):
-            refuse(f"{name}: {len(own)} of them", f"the {len(kept)} of the run to go on with")
+            refuse(f"{name}: {len(own)} of them", f"the {len(kept)} of the run to resume")
         for i, (one, other) in enumerate(zip(own, kept, strict=True)):
             if one != other:
-                refuse(f"{name}[{i}]: holds other numbers", "that of the run to go on with")
+                refuse(f"{name}[{i}]: holds other numbers", "that of the run to resume")
 
 
 def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) -> config.Experiment:
@@ -108,7 +108,7 @@ def experiment_to_resume(stored: config.Experiment, asked: config.Experiment) ->
     except Refused as refused:
         problems += [problem.under(("search",)) for problem in refused.violations]
     if problems:
-        raise violations_error("the run to go on with is of another experiment", problems)
+        raise violations_error("the run to resume is of another experiment", problems)
     return stored.model_copy(update={"search": search, "checkpoint": asked.checkpoint})
 
 

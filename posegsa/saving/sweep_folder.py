@@ -75,10 +75,10 @@ def _refuse_another(folder: Path, run: SweepRun, base: Experiment, keys: list[st
 def prepare_sweep_folder(
     folder: Path, base: Experiment, keys: list[str], *, overwrite: bool = False
 ) -> list[SweepRun]:
-    """Create the folder of a sweep if it is missing; the runs that it contains already.
+    """Create the folder of a sweep if it is missing, and return the runs that it already contains.
 
     Args:
-        folder: Where.
+        folder: The folder.
         base: The settings that the sweep does not vary.
         keys: The keys that it varies.
         overwrite: Remove the runs of another sweep.
@@ -144,8 +144,8 @@ def merge_sweeps(folders: Iterable[str | Path], out: str | Path | None = None) -
     """Merge the runs of several folders of one sweep, such as its shards; write tables and figures.
 
     Args:
-        folders: Where the runs are; a run that is in several folders counts once.
-        out: Where all runs, tables and figures are written; by default the first folder.
+        folders: The folders with the runs; a run that is in several folders counts once.
+        out: The folder for all runs, tables and figures; by default the first of `folders`.
 
     Raises:
         RunFolderError: A folder has no runs or those of another sweep, or `out` cannot be written.

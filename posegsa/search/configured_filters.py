@@ -93,9 +93,10 @@ def filter_of(
     Args:
         experiment: Its [filter] says which, and with which numbers.
         own: The user's own filter, where the experiment has one.
-        sensors: How many it reads, by default those of the scenario. An observer's weights go in
-            order: the first vector has that of the experiment's first, and so on; further ones have
-            1, and so have landmarks. So a sensor more or less changes no other's weight.
+        sensors: How many sensors it reads, by default those of the scenario. An observer's weights
+            go in order: the first vector has the weight of the experiment's first, and so on;
+            further ones have 1, and so do landmarks. So adding or removing a sensor changes no
+            other sensor's weight.
 
     Raises:
         ArgumentError: `own` is missing, is no filter, or lacks a number of [filter].
@@ -140,7 +141,7 @@ def _leads(
 
 
 def _noise_signals(section: config.KalmanConfig, dtype: DTypeLike) -> NoiseSignals:
-    """What the schedules of a Kalman filter's noises see."""
+    """The input signals of a Kalman filter's noise schedules."""
 
     def signal(role: str) -> NoiseSignal:
         names = NoiseSignal._fields
@@ -168,7 +169,7 @@ def _own_filter(own: OwnFilter | None, numbers: dict[str, Array], dtype: DTypeLi
 
 
 def _for_sensors(settings: FilterSettings, vectors: int, landmarks: int) -> FilterSettings:
-    """Settings with weights for so many sensors."""
+    """Settings with weights for this number of sensors."""
 
     def first(weights: tuple[Array, ...] | None, count: int) -> tuple[Array, ...]:
         given = weights or ()

@@ -192,7 +192,7 @@ def scenario(experiment: config.Experiment) -> Scenario:
 
 
 def _samples(time: float, step: float) -> int:
-    """Index of the first sample at a time or after it; at most the largest of 32 bits."""
+    """Index of the first sample at a time or after it; at most the largest 32-bit integer."""
     return min(math.ceil(time / step - 1e-6), np.iinfo(np.int32).max)
 
 
@@ -224,7 +224,7 @@ def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:
     def array(values: tuple[float, ...]) -> Array:
         return host_array(values, dtype)
 
-    # Outages and bursts have the same number of windows, on which what is drawn depends.
+    # Outages and bursts have the same number of windows, because the draws depend on it.
     both = [o for o in (section.outages, section.bursts) if not isinstance(o, str)]
     most = max((_most_windows(o.rate * duration) for o in both), default=0)
 
@@ -286,7 +286,7 @@ def _most_windows(expected: float) -> int:
 
 
 def _made(given: T | Literal["off"], make: Callable[[T], M]) -> M | None:
-    """What is made of a setting; None if it is off."""
+    """What `make` returns for a setting; None if it is off."""
     return None if isinstance(given, str) else make(given)
 
 

@@ -30,7 +30,7 @@ class RecordedSize(NamedTuple):
 
     count: int
     samples: int
-    """Length of the longest."""
+    """Number of samples of the longest."""
     vectors: int
     """Largest number of vectors in a recording."""
     landmarks: int

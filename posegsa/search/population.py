@@ -31,7 +31,7 @@ FEW_AGENTS = 64
 MIN_GROUPS = 4
 """Minimum number of pieces along the scenarios in that case, to be divided among devices."""
 MAX_PADDING = 4 / 3
-"""Largest factor by which padding may increase the groups, to give every device as many."""
+"""Largest factor by which padding may increase the groups, so that all devices get equally many."""
 LANES = 16
 """Numbers of 32 bits in the widest vector registers of a CPU."""
 

@@ -41,13 +41,14 @@ from posegsa.words import counted
 DEGREES_PER_METRE = 100.0
 """Default weight of the position RMSE relative to the attitude RMSE: 1 cm counts as 1 deg."""
 LOWEST_GAIN = 1e-3
-"""Lowest constant or smooth gain that is searched on recordings [1/s]: they are of any rate."""
+"""Lowest constant or smooth gain that is searched on recordings, whose rates vary [1/s]."""
 FEW = 10
-"""Iterations of the search where three numbers are left to it."""
+"""Iterations of the search if only three numbers are searched."""
 MORE_NOISE, LINEAR_WALKS = 10.0, (1e-5, 1.0)
-"""How many times the found noise of a velocity is searched, and which walks [m/s/sqrt(s)]."""
+"""Upper bound of a velocity's noise as a multiple of the found one; bounds of walks
+[m/s/sqrt(s)]."""
 LEAST_GAIN = 0.05
-"""Share of the cost that the search must gain. On flights whose noise is white it gains up to 3 %
+"""Share by which the search must lower the cost. On flights with white noise it gains up to 3 %
 where it was searched and loses up to 20 % on others; where a model is wrong it gains 7 to 23 %."""
 _EYE = np.eye(3)
 
@@ -67,7 +68,7 @@ def recorded_problem(
             scenario gives the weights of vectors and landmarks, in order. If its
             `objective.simulated_share` is above 0, its scenarios are used too.
         recordings: At least one, each with a truth.
-        position_weight: Of the position's RMSE [deg/m].
+        position_weight: Weight of the position's RMSE [deg/m].
         own: The user's own filter, where the experiment has one.
         strict: Refuse a number to be tuned that has no effect; else it is left out.
 
@@ -103,7 +104,7 @@ def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
     """What is tuned on recordings where no configuration is given.
 
     It is a Kalman filter with the noises that the recordings show (`found_noises`). Where its model
-    is worse than that (a scale that is off, noise that lasts), more noise of the velocities makes
+    is worse than that (a wrong scale, correlated noise), more noise of the velocities makes
     up for it: that, and the walk of the velocity's bias, is searched, and kept if it gains enough.
     On recordings of inertial sensors without a velocity it is the attitude filter.
     """
@@ -159,7 +160,7 @@ def _check_same_sensors(experiment: config.Experiment, recordings: Sequence[Reco
             has = "no position (attitude only)"
         if one.attitude_only or found != needed:
             raise ConfigError(
-                f"objective.simulated_share = {share}: {one.name} has {has}; allowed beside "
+                f"objective.simulated_share = {share}: {one.name} has {has}; allowed with "
                 f"simulated scenarios: a position, {counted(needed[0], 'vector')} and "
                 f"{counted(needed[1], 'landmark')}, as [scenario] has"
             )
@@ -192,7 +193,7 @@ def as_recordings(batch: ScenarioBatch, position_weight: float) -> ScenarioBatch
 def with_effect_on(
     experiment: config.Experiment, vectors: int, landmarks: int, *, strict: bool = True
 ) -> config.Experiment:
-    """An experiment that tunes only what has an effect with so many sensors.
+    """An experiment that tunes only what has an effect with these numbers of sensors.
 
     Raises:
         ConfigError: A number that the user chose has no effect, and `strict` is true.

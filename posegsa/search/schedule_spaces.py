@@ -80,8 +80,8 @@ def schedule_space(
 
     Args:
         kind: "constant", "smooth", "switch" or "open loop".
-        experiment: Its controller's range, and its duration, are looked at.
-        lowest: Least gain [1/s], where it is to be another one.
+        experiment: Its controller's range and its duration are used.
+        lowest: Lowest gain [1/s], if it is not to be the default.
     """
     offset, (low, high) = experiment.fuzzy.offset, experiment.parameters.gain_range
     least = lowest or min(GAINS[0], max(offset + low, LEAST_GAIN))
@@ -93,7 +93,7 @@ def noise_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
 
     Args:
         kind: "constant", "smooth", "ramp" or "clock".
-        experiment: Its duration is looked at.
+        experiment: Its duration is used.
     """
     return _space(kind, experiment, (0.0, math.log(101.0)))
 

@@ -63,7 +63,7 @@ def own_space(experiment: config.Experiment, lowest: float | None = None) -> Sch
 
     Args:
         experiment: Its [filter] says which.
-        lowest: Least gain [1/s] of a constant or smooth one, where it is to be another one.
+        lowest: Lowest gain [1/s] of a constant or smooth schedule, if it is not to be the default.
     """
     section = experiment.filter
     if isinstance(section, config.KalmanConfig) and section.roles:

@@ -21,10 +21,10 @@ class Numbers:
     """An array or list of numbers, or a single number if no shape is given.
 
     Args:
-        shape: Its lengths. A named length is at least 1 and the same throughout a record; None
-            allows any length.
+        shape: The lengths of its axes. A named length is at least 1 and the same throughout a
+            record; None allows any length.
         dtype: bool, int (64 bits) or float (64 bits).
-        allow: Which floats: finite ones, also infinite ones, or any including NaN.
+        allow: Which floats are allowed: finite ones, also infinite ones, or any including NaN.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Columns(Numbers):
 
     Args:
         names: Names of the columns, with units.
-        rows: The name of its length.
+        rows: The name of the number of rows.
         each: Whether there is a set of these columns for each of several items, for example
             vectors; "#" in a name is replaced by the number of the item.
         numbers: Keyword arguments of `Numbers`.

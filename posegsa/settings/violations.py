@@ -80,7 +80,7 @@ def violations_of(error: ValidationError, model: type[BaseModel]) -> list[Violat
             if other := found.get((violation.key, i)):  # every member of a union has its own reason
                 violation = replace(violation, reason=f"{other.reason}, or {violation.reason}")
             found[violation.key, i] = violation
-    # A union refuses the whole value too; the error about the part of it that is wrong says more.
+    # A union refuses the whole value too; the error about the wrong part of it says more.
     keys = [key for key, _ in found]
     return [v for v in found.values() if not any(k.startswith(f"{v.key}.") for k in keys)]
 
@@ -134,7 +134,7 @@ def _place(location: _Path, model: _Table) -> tuple[_Path, list[_Table]]:
 
 
 def _tables_of(field: FieldInfo) -> list[_Table]:
-    """The tables that a field may be."""
+    """The tables that the value of a field may be."""
     for choice in field.metadata:
         if kinds := getattr(choice, "kinds", None):  # `settings.choice`
             return [kind.model_fields for kind in kinds.values()]

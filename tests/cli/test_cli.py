@@ -152,7 +152,7 @@ def test_bad_input_is_one_readable_message(tmp_path, monkeypatch, capsys, argume
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
+def test_sigterm_saves_and_says_how_to_resume(tmp_path, monkeypatch, capsys):
     """SIGTERM, as sent by a cluster; for Ctrl-C see `test_tuning` and `test_interrupt`."""
     long = ["--set", "search.iterations=100000", "--set", "checkpoint.iterations=1"]
     process = subprocess.Popen(
@@ -171,12 +171,12 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
     assert process.returncode == 128 + signal.SIGTERM, said
     kept = max(int(path.stem) for path in checkpoints.glob("*.checkpoint"))
     # On a busy machine the last chunk may take longer than the process waits for it.
-    told = re.search(
+    match = re.search(
         r"interrupted after iteration (\d+) of 100000(?: \(saved: (\d+)\))?, best", said
     )
-    assert told is not None, said
-    assert int(told[2] or told[1]) == kept
-    assert "go on with: posegsa tune --resume run" in said
+    assert match is not None, said
+    assert int(match[2] or match[1]) == kept
+    assert "resume with: posegsa tune --resume run" in said
     assert "Traceback" not in said
     monkeypatch.chdir(tmp_path)
     assert main(["tune", "--resume", "run", "--seed", "5"]) == 2
@@ -184,7 +184,7 @@ def test_sigterm_saves_and_says_how_to_go_on(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-def test_of_joined_processes_the_first_alone_writes_and_speaks(tmp_path, monkeypatch, capsys):
+def test_of_joined_processes_only_the_first_writes_and_prints(tmp_path, monkeypatch, capsys):
     joined = {}
     monkeypatch.setattr(
         "posegsa.search.devices.join_processes", lambda **given: joined.update(given)
@@ -255,7 +255,7 @@ def test_a_changed_result_is_read_only_on_demand(finished, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)
 
 
-def test_a_configuration_stands_for_its_own_filter(monkeypatch, capsys):
+def test_a_configuration_means_its_own_filter(monkeypatch, capsys):
     monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
     assert main(["export", "quick", "--format", "json"]) == 0
     found = json.loads(capsys.readouterr().out)["numbers"]
@@ -287,10 +287,10 @@ def test_a_configuration_or_a_run_knows_the_sensors_of_a_recording(tmp_path, mon
     assert main([*of_run, "--recording", str(path)]) == 0
     assert numbers_of(capsys.readouterr().out) == numbers_of(own.out)
     assert main(of_run) == 0
-    told = capsys.readouterr()
-    assert "[scenario]" in told.out
-    assert "2 vectors and 1 landmark of the configuration's [scenario]" in told.err
-    assert "--recording FILE" in told.err
+    printed = capsys.readouterr()
+    assert "[scenario]" in printed.out
+    assert "2 vectors and 1 landmark of the configuration's [scenario]" in printed.err
+    assert "--recording FILE" in printed.err
 
 
 @pytest.mark.parametrize(
@@ -417,7 +417,7 @@ def test_help_of_compare_names_all_that_there_are(capsys):
     assert words >= {*OPTIMISERS, *FUNCTIONS}
 
 
-def test_help_and_what_is_not_there_need_not_wait_for_jax(tmp_path):
+def test_help_and_unknown_names_need_not_wait_for_jax(tmp_path):
     """The commands run one after the other in a process that has imported nothing."""
     commands = [
         ["evaluate", "--help"],
@@ -438,8 +438,8 @@ def test_help_and_what_is_not_there_need_not_wait_for_jax(tmp_path):
     )
     command = [sys.executable, "-c", code, json.dumps(commands)]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    told = [line for line in done.stdout.splitlines() if line.startswith("after ")]
-    assert told == [f"after {' '.join(words)} there are []" for words in commands]
+    loaded = [line for line in done.stdout.splitlines() if line.startswith("after ")]
+    assert loaded == [f"after {' '.join(words)} there are []" for words in commands]
 
 
 def test_the_command_is_installed_and_helps():
@@ -503,7 +503,7 @@ def test_output_that_can_not_be_written_is_one_line(arguments, monkeypatch, caps
 
 @pytest.mark.quick
 @pytest.mark.skipif(not FULL.exists(), reason="the system has no /dev/full")
-def test_a_process_whose_output_can_not_be_written_says_no_more_as_it_ends():
+def test_a_process_whose_output_can_not_be_written_ends_silently():
     with FULL.open("w") as full:
         done = subprocess.run(
             [sys.executable, "-m", "posegsa", "configs"],
@@ -563,6 +563,6 @@ def test_other_files_errors_are_not_taken_for_those_of_the_output(monkeypatch):
 def test_a_path_that_is_too_long_is_a_line(arguments, said, monkeypatch, capsys):
     monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: True)
     assert main(arguments) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(f"posegsa: {'a' * 300}")
-    assert said in told
+    printed = capsys.readouterr().err
+    assert printed.startswith(f"posegsa: {'a' * 300}")
+    assert said in printed

@@ -47,18 +47,18 @@ def test_every_file_loads(path: Path) -> None:
     assert load(str(path)) == load(path)
 
 
-MENDED = {"filter.length_growth": 0.1, "filter.bias_wait": 0.3, "gain.unknown": 0.5}
-"""What observer.toml has on that is off by default."""
-NOT_MENDED = dict.fromkeys(MENDED, "off")
+SHIPPED_ON = {"filter.length_growth": 0.1, "filter.bias_wait": 0.3, "gain.unknown": 0.5}
+"""Settings of observer.toml that are off by default."""
+OFF = dict.fromkeys(SHIPPED_ON, "off")
 
 
-def test_the_observer_file_holds_the_defaults_but_for_what_is_off_by_default() -> None:
+def test_the_observer_file_holds_the_defaults_except_for_what_is_off_by_default() -> None:
     observer, default = load(CONFIGS / "observer.toml"), Experiment()
     assert observer.tuned.numbers
-    on = with_numbers(default.model_dump(mode="json"), MENDED)
+    on = with_numbers(default.model_dump(mode="json"), SHIPPED_ON)
     assert observer.replace(tuned=config.TunedConfig()) == from_dict(on)
     off = leaves(default.model_dump())
-    assert {key: off[f".{key}"] for key in MENDED} == NOT_MENDED
+    assert {key: off[f".{key}"] for key in SHIPPED_ON} == OFF
 
 
 @pytest.mark.parametrize("name", WHOLE)
@@ -105,7 +105,7 @@ def test_the_paper_is_one_scenario_and_its_own_filter_and_search() -> None:
     )
     assert {key: value for key, value in changed.items() if key not in search} == {
         **ONE_START,
-        **NOT_MENDED,
+        **OFF,
         "run.training_scenarios": 1,
         "filter.gamma": 5.0,
         "filter.gamma_law": "fixed",
@@ -119,7 +119,7 @@ def test_the_paper_is_one_scenario_and_its_own_filter_and_search() -> None:
 
 
 def test_the_papers_start_is_the_observer_on_the_papers_scenario() -> None:
-    assert changes("paper_start") == ONE_START | NOT_MENDED
+    assert changes("paper_start") == ONE_START | OFF
 
 
 def test_the_literal_paper_differs_where_the_paper_says_so() -> None:
@@ -142,7 +142,7 @@ def test_the_quick_file_only_makes_scenarios_and_search_smaller() -> None:
     for key in ("scenario.duration", "cost.steady_window.1"):
         assert changed.pop(key) == ONE_START[key]
     assert changed == {
-        **NOT_MENDED,
+        **OFF,
         "run.training_scenarios": 4,
         "run.held_out_scenarios": 16,
         "search.agents": 32,

@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 from helpers.experiments import BASE
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 
 import posegsa.config as config
 from posegsa.config import Experiment, from_dict, load, override
@@ -176,7 +176,7 @@ def setting_refusal(*texts: str) -> str:
     ],
 )
 def test_a_bad_value_is_named_with_what_is_allowed(setting: str, facts: list[str]) -> None:
-    assert_told(setting_refusal(setting), *facts)
+    assert_states(setting_refusal(setting), *facts)
 
 
 @pytest.mark.parametrize(
@@ -194,15 +194,17 @@ def test_a_bad_value_is_named_with_what_is_allowed(setting: str, facts: list[str
     ],
 )
 def test_a_misspelt_key_gets_the_nearest(setting: str, facts: list[str]) -> None:
-    assert_told(setting_refusal(setting), *facts)
+    assert_states(setting_refusal(setting), *facts)
 
 
 def test_missing_keys_and_wrong_tables_are_named() -> None:
     text = refusal(from_dict, {"run": 3, "scenario": {"landmarks": [{"positon": [1, 2, 3]}]}})
-    assert_told(text, "run = 3", "table", "seed", "dtype")
-    assert_told(text, "scenario.landmarks.0.position missing")
-    assert_told(text, "scenario.landmarks.0.positon", "did you mean scenario.landmarks.0.position")
-    assert_told(refusal(from_dict, {"search": []}), "search = []", "table", "optimiser")
+    assert_states(text, "run = 3", "table", "seed", "dtype")
+    assert_states(text, "scenario.landmarks.0.position missing")
+    assert_states(
+        text, "scenario.landmarks.0.positon", "did you mean scenario.landmarks.0.position"
+    )
+    assert_states(refusal(from_dict, {"search": []}), "search = []", "table", "optimiser")
 
 
 def test_all_problems_are_listed() -> None:
@@ -213,12 +215,12 @@ def test_all_problems_are_listed() -> None:
 
 @pytest.mark.parametrize("data", [[1], "run", None])
 def test_what_is_not_a_table_of_sections_is_refused(data: Any) -> None:
-    assert_told(refusal(from_dict, data), "table", "run", "scenario", "family", "filter")
+    assert_states(refusal(from_dict, data), "table", "run", "scenario", "family", "filter")
 
 
-def test_sections_made_by_hand_say_the_same() -> None:
-    assert_told(refusal(config.ObserverConfig, substeps=0), "substeps = 0", "1")
-    assert_told(refusal(Experiment, filter={"substeps": 0}), "filter.substeps = 0", "1")
+def test_sections_made_in_python_refuse_the_same() -> None:
+    assert_states(refusal(config.ObserverConfig, substeps=0), "substeps = 0", "1")
+    assert_states(refusal(Experiment, filter={"substeps": 0}), "filter.substeps = 0", "1")
     short = config.ScenarioConfig(duration=5.0)
     assert "cost.steady_window = [400, 5900]" in refusal(Experiment, scenario=short)
 
@@ -285,7 +287,7 @@ def test_unobservable_sensors_are_refused(data: dict[str, Any], found: str) -> N
 @pytest.mark.parametrize("vectors", [[], [UP], [ALONG, AGAINST]])
 def test_a_cross_product_needs_two_directions(vectors: list[Any]) -> None:
     data = sensors(vectors, points((0, 0, 0), (1, 0, 0), (0, 1, 0)), cross=True)
-    assert_told(refusal(from_dict, data), "filter.cross_vector = true", "false", "two vectors")
+    assert_states(refusal(from_dict, data), "filter.cross_vector = true", "false", "two vectors")
 
 
 # Files --------------------------------------------------------------------------------------------
@@ -320,7 +322,7 @@ def test_a_bad_file_is_named_with_its_place(
     path = written(tmp_path, content)
     text = refusal(load, path)
     assert text.startswith(str(path))
-    assert_told(text.removeprefix(str(path)), *facts)
+    assert_states(text.removeprefix(str(path)), *facts)
 
 
 def test_paths_that_are_no_file_are_refused(tmp_path: Path) -> None:
@@ -335,7 +337,7 @@ def test_a_file_without_rights_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "open", denied)
-    assert_told(refusal(load, tmp_path / "secret.toml"), "secret.toml", "Permission denied")
+    assert_states(refusal(load, tmp_path / "secret.toml"), "secret.toml", "Permission denied")
 
 
 # Settings from the command line -------------------------------------------------------------------
@@ -360,4 +362,4 @@ def test_a_file_without_rights_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
     ],
 )
 def test_a_setting_that_cannot_be_applied_is_refused(setting: str, facts: list[str]) -> None:
-    assert_told(setting_refusal(setting), *facts)
+    assert_states(setting_refusal(setting), *facts)

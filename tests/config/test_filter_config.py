@@ -4,7 +4,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 
 from posegsa import config
 from posegsa.config import (
@@ -91,14 +91,14 @@ def test_a_users_own_filter_has_its_numbers_by_name() -> None:
     ],
 )
 def test_a_filter_that_can_not_be_is_refused_by_its_key(section: dict, facts: list[str]) -> None:
-    assert_told(refusal({"filter": section}), *facts)
+    assert_states(refusal({"filter": section}), *facts)
 
 
 def test_only_an_observer_needs_two_vectors_for_their_cross_product() -> None:
     alone = {"scenario": {"vectors": [{"direction": [0, 0, 1]}], "landmarks": []}}
     for position in ([1, 0, 0], [0, 1, 0], [0, 0, 1]):
         alone["scenario"]["landmarks"].append({"position": position})
-    assert_told(refusal(alone), "filter.cross_vector = true", "two vectors")
+    assert_states(refusal(alone), "filter.cross_vector = true", "two vectors")
     assert from_dict(alone | {"filter": {"kind": "kalman"}}).filter == KalmanConfig()
 
 
@@ -114,7 +114,7 @@ def test_another_kind_has_its_own_defaults_and_what_is_named() -> None:
     back = override(kalman, ["filter.kind=observer", "filter.gamma=3.0"])
     assert back.filter == ObserverConfig(gamma=3.0)
     recommended = [one for one in BASE.also if one.key != "filter.gamma"]
-    assert [*back.also] == recommended, "what is tuned by default, but what is named"
+    assert [*back.also] == recommended, "what is tuned by default, except for the named"
     listed = '{key="filter.vector", lower=0.1, upper=1.0}'
     asked = override(BASE, ["filter.kind=kalman", f"parameters.also=[{listed}]"])
     assert [one.key for one in asked.also] == ["filter.vector"]
@@ -149,13 +149,13 @@ def test_a_schedule_has_as_many_numbers_as_it_needs_or_none(schedule: str) -> No
     assert from_dict(with_numbers(schedule, 0)).tuned == TunedConfig()
     for wrong in {*COUNTS.values(), own + 1, own - 1} - {own, 0}:
         said = refusal(with_numbers(schedule, wrong))
-        assert_told(said, f"tuned.numbers = {wrong}", f"{own} of a {schedule} gain", "none")
+        assert_states(said, f"tuned.numbers = {wrong}", f"{own} of a {schedule} gain", "none")
 
 
 @pytest.mark.parametrize("kind", ["kalman", "own"])
 def test_a_filter_without_a_schedule_has_none(kind: str) -> None:
     data = {"filter": {"kind": kind}, "tuned": {"numbers": [1.0]}}
-    assert_told(refusal(data), "tuned.numbers = 1", "none")
+    assert_states(refusal(data), "tuned.numbers = 1", "none")
 
 
 def test_further_numbers_are_those_that_can_be_tuned() -> None:
@@ -168,12 +168,12 @@ def test_further_numbers_are_those_that_can_be_tuned() -> None:
         ({"filter.gama": 3.0}, ["tuned.also.filter.gama = 3.0", "no effect", "filter.gamma"]),
         ({"filter.gamma": -3.0}, ["tuned.also.filter.gamma = -3.0", "0"]),
     ):
-        assert_told(refusal({"tuned": {"also": wrong}}), *facts)
+        assert_states(refusal({"tuned": {"also": wrong}}), *facts)
     own = {"filter": {"kind": "own", "leak": 1.0}}
     assert from_dict(own | {"tuned": {"also": {"filter.leak": 2.0}}}).tuned.also == {
         "filter.leak": 2.0
     }
-    assert_told(
+    assert_states(
         refusal(own | {"tuned": {"also": {"filter.gamma": 2.0}}}), "tuned.also.filter.gamma"
     )
 

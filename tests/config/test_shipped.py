@@ -20,7 +20,7 @@ def test_each_file_has_a_name_and_says_what_it_is_for() -> None:
         assert "\n" not in shipped.about(name)
 
 
-def test_a_name_stands_for_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_means_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert config.load("quick") == config.load(CONFIGS / "quick.toml")
     named = config.as_experiment("recommended")

@@ -4,7 +4,7 @@ import tomllib
 
 import pytest
 from helpers.experiments import BASE
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 
 from posegsa import config
 from posegsa.config.tunable import AlsoTuned, tunable
@@ -80,7 +80,7 @@ def test_every_tunable_key_is_taken_and_written_back() -> None:
 
 def test_an_unknown_key_is_refused_with_those_there_are() -> None:
     said = refusal({"key": "filter.gama", "lower": 1.0, "upper": 2.0})
-    assert_told(said, 'parameters.also.0.key = "filter.gama"', *tunable(PLAIN))
+    assert_states(said, 'parameters.also.0.key = "filter.gama"', *tunable(PLAIN))
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_an_unknown_key_is_refused_with_those_there_are() -> None:
 def test_a_number_without_effect_is_refused(key) -> None:
     good = {"key": "filter.gain_limit", "lower": 1.0, "upper": 2.0}
     said = refusal(good, {"key": key, "lower": 1.0, "upper": 2.0})
-    assert_told(said, f'parameters.also.1.key = "{key}"')
+    assert_states(said, f'parameters.also.1.key = "{key}"')
     assert "parameters.also.0" not in said
 
 
@@ -128,11 +128,11 @@ def keys_of(experiment: config.Experiment) -> set[str]:
         (["scenario.landmarks.0.noise=0.2"], set()),
     ],
 )
-def test_of_the_default_list_what_is_stated_or_without_effect_is_not_tuned(settings, gone) -> None:
+def test_stated_or_ineffective_keys_of_the_default_list_are_not_tuned(settings, gone) -> None:
     assert keys_of(config.override(config.Experiment(), settings)) == RECOMMENDED - gone
 
 
-def test_so_it_is_of_a_file_and_of_python() -> None:
+def test_the_same_holds_for_a_file_and_for_python() -> None:
     stated = {"filter": {"gamma": 3.0, "vector_bias": "off"}, "scenario": {"duration": 60.0}}
     assert keys_of(config.from_dict(stated)) == RECOMMENDED - OF_BIAS - {"filter.gamma"}
     (gamma,) = (one for one in config.Experiment().also if one.key == "filter.gamma")
@@ -159,12 +159,12 @@ def test_bounds_with_which_the_rest_is_wrong_are_refused() -> None:
     base = config.override(PLAIN, ["filter.cross_vector=false", "scenario.vectors.0.weight=1.0"])
     alone = {"key": "scenario.landmarks.0.weight", "lower": 0.0, "upper": 3.0}
     said = refusal(alone, base=base)
-    assert_told(said, "lower bounds", "scenario.vectors")
+    assert_states(said, "lower bounds", "scenario.vectors")
 
 
 def test_what_is_asked_for_and_has_no_effect_is_refused() -> None:
     own = {"key": "filter.excitation", "lower": 0.1, "upper": 0.2}  # not the default bounds
-    assert_told(refusal(own), 'parameters.also.0.key = "filter.excitation"')
+    assert_states(refusal(own), 'parameters.also.0.key = "filter.excitation"')
 
 
 def test_tuned_numbers_stay_within_their_bounds() -> None:
@@ -189,7 +189,7 @@ def test_of_another_filter_its_own_numbers_are_tunable() -> None:
     assert keys_of(config.from_dict({"filter": {"kind": "kalman", "vector": 0.3}})) == noises - {
         "filter.vector"
     }
-    assert keys_of(OWN) == set(), "nothing is tuned that is not asked for"
+    assert keys_of(OWN) == set(), "only what is asked for is tuned"
     entries = [
         {"key": f"filter.{name}", "lower": 0.5, "upper": 3.0} for name in ("leak", "stiffness")
     ]
@@ -214,12 +214,12 @@ def test_of_another_filter_its_own_numbers_are_tunable() -> None:
 )
 def test_a_number_of_another_filter_is_refused(base, key) -> None:
     said = refusal({"key": key, "lower": 1.0, "upper": 2.0}, base=base)
-    assert_told(said, f'parameters.also.0.key = "{key}"', "no effect")
+    assert_states(said, f'parameters.also.0.key = "{key}"', "no effect")
 
 
 def test_a_key_twice_is_refused() -> None:
     one = {"key": "gain.smoothing", "lower": 1.0, "upper": 2.0}
-    assert_told(refusal(one, one), 'parameters.also.1.key = "gain.smoothing"', "once")
+    assert_states(refusal(one, one), 'parameters.also.1.key = "gain.smoothing"', "once")
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ def test_a_key_twice_is_refused() -> None:
     ],
 )
 def test_bounds_that_a_number_may_not_have_are_refused(entry, facts) -> None:
-    assert_told(refusal(entry), *facts)
+    assert_states(refusal(entry), *facts)
 
 
 def test_a_number_may_be_held_at_one_value() -> None:

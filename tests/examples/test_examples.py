@@ -1,4 +1,4 @@
-"""The examples run, at sizes so small that what they find means nothing."""
+"""The examples run, at sizes so small that their results mean nothing."""
 
 import inspect
 import io
@@ -38,7 +38,7 @@ def lines_of(figure) -> int:
 
 
 def example(name: str) -> dict:
-    """What an example defines; nothing runs yet."""
+    """The definitions of an example; nothing runs yet."""
     return runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="example")
 
 

@@ -75,7 +75,7 @@ def sections(text: str) -> dict[str, dict[str, str]]:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_what_stands_in_it_is_the_controller(case):
+def test_the_file_holds_the_controller(case):
     one = controller(case)
     read = sections(posegsa.export_fis(one))
     counts = [read["System"][f"Num{kind}"] for kind in ("Inputs", "Outputs", "Rules")]
@@ -106,7 +106,7 @@ def test_what_stands_in_it_is_the_controller(case):
     assert len({(error, rate) for error, rate, *_ in rules}) == 25
 
 
-def test_matlabs_own_sum_is_what_its_samples_say():
+def test_matlabs_own_sum_agrees_with_its_samples():
     """A controller that samples like MATLAB has the gain that MATLAB computes from the file."""
     result = tuned(K, "fuzzy.centroid=sampled", dtype="float64")
     given = inputs()

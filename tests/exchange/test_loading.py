@@ -134,7 +134,7 @@ def test_what_no_file_says_must_be_given(tmp_path):
     assert posegsa.load_controller(path, no_rule="hold").no_rule == "hold"
 
 
-def test_what_is_no_such_file_is_refused(tmp_path):
+def test_unreadable_files_are_refused(tmp_path):
     with pytest.raises(ArgumentError, match=r"ends in \.fis or \.fll"):
         posegsa.load_controller(tmp_path / "gain.txt")
     with pytest.raises(FuzzyError, match="does not exist"):

@@ -77,7 +77,7 @@ def test_json_gives_the_controller_back_exactly(dtype, settings):
     np.testing.assert_allclose(gains.ravel()[:COUNT], expected, rtol=tolerance)
 
 
-def test_json_says_all_of_the_schedule():
+def test_json_has_the_whole_schedule():
     costs = {TUNED: np.array([40.0, np.inf]), CONSTANT: np.array([44.0, 45.0])}
     result = tuned(K, *GAPS, "gain.error_scale=0.75", training=costs)
     text = export_json(result)
@@ -112,7 +112,7 @@ def test_what_is_worse_past_its_window_is_exported_with_the_warning():
     assert f"WARNING: {warning}." in written
 
 
-def test_what_was_tuned_too_is_in_json_and_c():
+def test_other_tuned_numbers_are_in_json_and_c():
     also = {"gain.error_scale": 0.75, "scenario.landmarks.0.weight": 0.375}
     result = tuned(K, also=also)
     data = json.loads(export_json(result))

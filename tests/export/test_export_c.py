@@ -117,7 +117,7 @@ def recommended_result(*more: str, **fields: Any) -> Result:
 
 
 def recommended() -> Case:
-    """As `Result` has it; what is exported of it is `export_c`'s."""
+    """As in `Result`; the export is by `export_c`."""
     result = recommended_result()
     experiment = config.override(result.tuned, ["run.dtype=float64"])
     scenario = experiment.scenario
@@ -226,10 +226,10 @@ def over_time() -> Case:
 
 
 def unknown() -> Case:
-    """The input tells what is unknown, the bias laws wait, and the unit of length grows."""
+    """The input includes the unknown share, the bias laws wait, and the unit of length grows."""
     result = recommended_result()
     numbers = {"start": 0.6, "fall": 0.005, "rise": 0.5}
-    told = Unknown(**{name: jnp.asarray(value, np.float64) for name, value in numbers.items()})
+    unknown = Unknown(**{name: jnp.asarray(value, np.float64) for name, value in numbers.items()})
     return Case(
         schedule=result.schedule,
         settings=settings(
@@ -241,7 +241,7 @@ def unknown() -> Case:
             length_growth=0.2,
             bias_wait=0.4,
         ),
-        signal=signal(smoothing=0.4, unknown=told),
+        signal=signal(smoothing=0.4, unknown=unknown),
         vectors=VECTORS[:2],
         landmarks=LANDMARKS[:2],
         layout=Layout(2, 2, learns=True, unknown=True),
@@ -370,7 +370,7 @@ def test_a_result_is_exported_as_its_parts_are():
 
 
 @needs_cc
-def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
+def test_invalid_input_leaves_the_state_unchanged(build: Build):
     case = everything()["observer"]
     good = rows_of(exact_run("observer")[0])[:200]
     good = np.nan_to_num(good)
@@ -404,7 +404,7 @@ def test_a_limit_can_be_set_when_compiling(build: Build):
 
 
 @needs_cc
-def test_what_is_missing_is_not_looked_at(build: Build):
+def test_missing_measurements_are_ignored(build: Build):
     """NaN with weight 0, and a direction of length 0, count as missing."""
     case = everything()["observer"]
     rows = np.nan_to_num(rows_of(exact_run("observer")[0])[:300])
@@ -459,7 +459,7 @@ int main(void)
 
 
 @needs_cc
-def test_what_a_filter_can_begin_with(tmp_path):
+def test_initial_poses_that_are_accepted(tmp_path):
     source = tmp_path / "beginnings.c"
     source.write_text(BEGINNINGS)
     header = header_of("observer")
@@ -605,7 +605,7 @@ def test_fast_math_is_refused(tmp_path):
     assert "checks for NaN" in done.stderr
 
 
-def test_the_head_says_what_it_is_and_what_warns_of_it():
+def test_the_head_has_title_and_warnings():
     def head(result: Result) -> str:
         return " ".join(export_c(result).split("*/", 1)[0].replace("\n *", " ").split())
 
@@ -623,7 +623,7 @@ def test_the_head_says_what_it_is_and_what_warns_of_it():
     assert "WARNING: SENSITIVE" in head(recommended_result(trust=sensitive))
 
 
-def test_every_number_says_what_it_is():
+def test_every_number_has_a_comment():
     for name in everything():
         numbers = header_of(name).split("/* ---- Numbers")[1].split("/* ----")[0].splitlines()
         defined = [i for i, line in enumerate(numbers) if line.startswith("static const")]

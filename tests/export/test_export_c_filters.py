@@ -52,7 +52,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Case(NamedTuple):
-    """A filter, and how many landmarks it sees beside two vectors."""
+    """A filter, and the number of landmarks that it has in addition to two vectors."""
 
     filter: Filter
     vectors: np.ndarray
@@ -125,7 +125,7 @@ def header_of(name: str) -> str:
 
 @cache
 def exact_run(name: str) -> tuple[Measurements, Estimates]:
-    """What was "recorded", and what Python makes of it in float64."""
+    """The "recording", and Python's estimates from it in float64."""
     case = case_of(name)
     m = recorded(case)
     return m, in_python(case.filter, m)
@@ -173,7 +173,7 @@ def deviation(a: Found, exact: Estimates, name: str) -> float:
 
 
 def watched(*more: str) -> tuple[str, ...]:
-    """Options under which memory and arithmetic are watched; lines are not told, for speed."""
+    """Options that check memory and arithmetic; without line numbers, for speed."""
     return ("-std=c99", "-O1", *more, *sanitizers(COMPILERS[0]), "-g0")
 
 
@@ -196,7 +196,7 @@ def test_the_c_filter_is_the_python_filter(build: Build, name: str, real: str):
 
 @needs_cc
 def test_one_landmark_is_eight_of_which_seven_are_missing(build: Build):
-    """With 18 states; so Python need not compile it once more."""
+    """With 18 states, so that Python need not compile it again."""
     case, (m, _) = case_of("18 states"), exact_run("18 states")
     one = filter_to_c(case.filter, **KNOWN)
     alone = m._replace(
@@ -215,7 +215,7 @@ def test_one_landmark_is_eight_of_which_seven_are_missing(build: Build):
 
 @needs_cc
 def test_the_variances_are_those_of_python(tmp_path):
-    """At the start, as its numbers say; and the reader knows where they stand."""
+    """At the start, as its numbers say; and documented at their indices."""
     source = tmp_path / "variances.c"
     source.write_text(
         '#include "posegsa.h"\n#include <stdio.h>\nint main(void)\n{\n'
@@ -244,7 +244,7 @@ class Remembered(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Odd:
-    """A filter whose estimate is computed of its state, and that looks at all that it is told."""
+    """A filter whose estimate is computed from its state, and that uses all of its input."""
 
     gain: Array
     kind: str = field(default="odd", metadata={"static": True})
@@ -312,7 +312,7 @@ def test_an_estimate_that_is_computed_of_the_state(build: Build):
 
 
 @needs_cc
-def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
+def test_invalid_input_leaves_the_state_unchanged(build: Build):
     good = np.nan_to_num(rows_of(exact_run("own")[0])[:200])
     weights = [13, 14, 18]
     good[:, weights] = 1
@@ -327,7 +327,7 @@ def test_what_is_wrong_leaves_the_state_as_it_was(build: Build):
 @needs_cc
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_garbage_spoils_nothing(tmp_path: Path, real: str):
-    """What is checked stands in `fuzz_filter.c`."""
+    """The checks are in `fuzz_filter.c`."""
     options = watched(f"-DPOSEGSA_REAL={real}", "-DSTEPS=100000")
     source = DRIVER.with_name("fuzz_filter.c")
     program = compile_c(tmp_path, header_of("18 states"), source, *options, compiler=COMPILERS[0])
@@ -395,7 +395,7 @@ def starting_with(extra: Any) -> Any:
         ),
         (
             {"prepare": lambda self, m: prepare(m._replace(velocity=2 * m.velocity), AS_THEY_ARE)},
-            "changes what was measured",
+            "changes the measured values",
         ),
     ],
 )
@@ -418,7 +418,7 @@ AS_THEY_ARE = VectorSettings(each_agent=True)
         (5, "filter: a int; allowed: a filter"),
     ],
 )
-def test_what_is_no_filter_of_scalars_is_refused(filter: Any, words: str):
+def test_a_filter_not_made_of_scalars_is_refused(filter: Any, words: str):
     with pytest.raises(ArgumentError, match=words):
         filter_to_c(filter, **KNOWN)
 
@@ -453,10 +453,10 @@ def test_the_example_of_the_page_with_all_sensors_finds_the_pose(tmp_path: Path)
     header, source = header_of("recommended"), tmp_path / "example.c"
     program = compile_c(tmp_path, header, source, *watched(), compiler=COMPILERS[0])
     done = subprocess.run([program], check=True, capture_output=True, text=True)
-    told = re.search(r"It prints ([-.\d ]+),", page)
-    assert told is not None
+    in_page = re.search(r"It prints ([-.\d ]+),", page)
+    assert in_page is not None
     circle = [2 * np.sin(15), 2 - 2 * np.cos(15), 0]
-    for printed in (told[1], done.stdout):
+    for printed in (in_page[1], done.stdout):
         np.testing.assert_allclose([float(x) for x in printed.split()], circle, atol=0.01)
     assert done.stderr == ""
 
@@ -464,7 +464,7 @@ def test_the_example_of_the_page_with_all_sensors_finds_the_pose(tmp_path: Path)
 @pytest.mark.quick
 def test_the_start_of_a_kalman_filter_says_from_how_far_off_it_converges():
     assumed = dict(zip(KalmanNoise._fields, NOISE, strict=True))
-    words = header_of("18 states").partition("/* Begins a filter.")[2].partition("*/")[0]
+    words = header_of("18 states").partition("/* Starts a filter.")[2].partition("*/")[0]
     degrees, metres = map(float, re.findall(r"([\d.]+) (?:deg|m) ", words)[:2])
     assert degrees == pytest.approx(np.degrees(assumed["initial_attitude"]), rel=0.01)
     assert metres == pytest.approx(assumed["initial_position"], rel=0.01)

@@ -232,7 +232,7 @@ def head(result: Result) -> str:
     return " ".join(export_c_gain(result).split("*/", 1)[0].replace("\n *", " ").split())
 
 
-def test_the_head_comment_says_what_it_is_worth():
+def test_the_head_comment_states_the_performance():
     text = head(tuned(K))
     for words in ("posegsa " + posegsa.__version__, "posegsa 0.0.1", "95 % interval", "27.5/s"):
         assert words in text

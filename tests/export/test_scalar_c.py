@@ -21,14 +21,14 @@ def lines(function, arguments, results) -> list[str]:
     return list(written(function, arguments, results).statements)
 
 
-def test_what_is_used_once_stands_where_it_is_used():
+def test_a_value_used_once_is_written_in_place():
     assert lines(lambda a, b: a * (b - 1.5), ("x", "y"), "z") == ["z = x * (y - POSEGSA_C(1.5));"]
     # Evaluated from left to right, as in Python, so that rounding is the same.
     assert lines(lambda a, b: a - (b - a) - b, ("x", "y"), "z") == ["z = x - (y - x) - y;"]
     assert lines(lambda a, b: -(a / (b * a)), ("x", "y"), "z") == ["z = -(x / (y * x));"]
 
 
-def test_what_is_used_twice_has_a_name_of_the_function_it_comes_from():
+def test_a_value_used_twice_is_named_after_its_function():
     def squared_sum(a, b):
         return a + b
 
@@ -55,7 +55,7 @@ def test_results_may_be_arguments_too():
     ]
 
 
-def test_what_is_known_is_computed_and_what_no_one_wants_is_left_out():
+def test_constants_are_folded_and_unused_values_are_left_out():
     def function(a, limit):
         unlimited = jnp.isfinite(limit)
         return choose(unlimited, minimum(a, limit), a) * 1.0 + 0.0 * a, jnp.exp(a)
@@ -109,7 +109,7 @@ def test_numbers_of_float32_are_written_as_short_as_they_are():
         (lambda a: jax.lax.switch(a.astype(int), [jnp.sin, jnp.cos], a), "on integers"),
     ],
 )
-def test_what_is_no_arithmetic_of_scalars_is_refused(function, words):
+def test_other_than_scalar_arithmetic_is_refused(function, words):
     with pytest.raises(ArgumentError, match=words):
         written(function, ("x",), "y")
 

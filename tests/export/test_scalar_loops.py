@@ -59,7 +59,7 @@ GIVEN = np.random.default_rng(0).normal(size=2 * N)
 
 
 def swapped(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
-    """A loop that hands each number on to another place, in circles of two, three and one."""
+    """A loop that hands each number on to another place, in cycles of two, three and one."""
 
     def turn(carried: Scalars, z: jax.Array) -> tuple[Scalars, None]:
         a, b, c, d, e, f, *rest = carried
@@ -73,8 +73,8 @@ def reversed_on_the_spot(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
     return x[::-1], tuple(a + b for a, b in zip(x, y[::-1], strict=True))
 
 
-def half_of_a_truth(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
-    """A loop that carries truths, and constants that are computed before it."""
+def half_of_a_boolean(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """A loop that carries booleans, and constants that are computed before it."""
     scale = x[0] * x[1]
 
     def turn(carried: tuple, z: jax.Array) -> tuple[tuple, None]:
@@ -97,7 +97,7 @@ def loop_in_a_loop(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
 
 
 def what_is_stored(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
-    """A loop whose stored numbers and truths are used one by one, and by the loop after it."""
+    """A loop whose stored numbers and booleans are used one by one, and by the loop after it."""
 
     def turn(total: jax.Array, z: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         return total + z, (total * z, z > 0)
@@ -160,7 +160,7 @@ BY_HAND = [
     branch_in_a_loop,
     swapped,
     reversed_on_the_spot,
-    half_of_a_truth,
+    half_of_a_boolean,
     loop_in_a_loop,
     what_is_stored,
     sums_so_far,
@@ -233,7 +233,7 @@ def test_made_up_functions_compute_what_jax_does(tmp_path):
 
 
 @pytest.mark.quick
-def test_what_is_computed_alike_is_a_loop():
+def test_values_computed_the_same_way_become_a_loop():
     def function(x: Scalars, y: Scalars) -> Scalars:
         return tuple(a - y[0] * b for a, b in zip(x, y, strict=True))
 

@@ -1,4 +1,4 @@
-"""The clairvoyant against a plain filter that is told the same."""
+"""The clairvoyant against a plain filter that knows the same."""
 
 from dataclasses import replace
 from functools import partial
@@ -24,7 +24,7 @@ from posegsa.model.measurements import Measurements
 
 COUNT = 40
 PLAIN = reference_ekf.Noise(
-    velocity=np.zeros(6),  # told at each sample
+    velocity=np.zeros(6),  # given at each sample
     bias_walk=np.array([0.003, 0.003, 0.003, 0.002, 0.002, 0.002]),
     vector_walk=0.0,
     vector=1.0,
@@ -64,7 +64,7 @@ def some_events(rng: np.random.Generator, count: int) -> Events:
 @partial(jax.jit, static_argnames="jumps")
 def states(filter: Clairvoyant, m: Measurements, events: Events, initial, jumps: bool = True):
     """Pose, biases and covariance before each sample."""
-    samples = with_events(samples_of(filter, events.weighed(m)), events, jumps=jumps)
+    samples = with_events(samples_of(filter, events.weighted(m)), events, jumps=jumps)
 
     def look(total, view, entry):
         estimate = view.estimate

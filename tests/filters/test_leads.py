@@ -70,8 +70,8 @@ def test_a_mean_over_the_step_needs_no_lead() -> None:
 
 
 @pytest.mark.quick
-def test_each_sample_goes_on_as_it_last_changed() -> None:
-    """By NumPy, with time steps that differ; the first sample is left as it is."""
+def test_each_sample_is_extrapolated_from_the_last_change() -> None:
+    """By NumPy, with varying time steps; the first sample is unchanged."""
     rng = np.random.default_rng(0)
     steps = np.array([0.01, 0.02, 0.005, 0.05, 0.01])
     turning, moving = rng.normal(size=(2, 5, 3))

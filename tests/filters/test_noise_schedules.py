@@ -1,4 +1,4 @@
-"""Schedules of a Kalman filter's noises: their inputs, their factors, and what they change."""
+"""Schedules of a Kalman filter's noises: their inputs, factors and effects."""
 
 from dataclasses import replace
 from functools import partial
@@ -99,7 +99,7 @@ def test_without_an_input_only_the_age_changes() -> None:
 def test_residuals_are_those_of_the_matrix_form() -> None:
     """|z - y|^2 over tr(H Sigma H^T) + tr(N), sensor by sensor, from a covariance that is full.
 
-    And the variance that it speaks for: less tr(H Sigma H^T), over tr(N).
+    And the variance that it implies: less tr(H Sigma H^T), over tr(N).
     """
     m, T = sequence(60)
     filter = kalman(NoiseGains())
@@ -201,7 +201,7 @@ def test_a_raised_walk_forgets_the_vectors_biases() -> None:
 
 
 def test_what_is_forgotten_bounds_the_variance_of_the_vectors_biases() -> None:
-    """Without measurements, a walk raised from next to nothing ends at the initial variance."""
+    """Without measurements, a random walk raised from almost 0 ends at the initial variance."""
     m, T = sequence(1)
     none = m._replace(vector_weights=np.zeros((1, 2)), landmark_weights=np.zeros((1, 1)))
     raised = ConstantGain(jnp.asarray(101.0))
@@ -237,22 +237,22 @@ def test_a_sensor_that_disagrees_is_not_believed() -> None:
     assert errors[0] < 0.01 * errors[1]
 
 
-def test_the_variance_that_residuals_speak_for_is_the_sensors_own_in_the_mean() -> None:
-    """Landmarks have three times the noise that the filter is told: Sage and Husa's rule finds it.
+def test_the_variance_implied_by_residuals_is_the_sensors_own_on_average() -> None:
+    """Landmarks have three times the noise that the filter assumes: Sage and Husa's rule finds it.
 
     The line of slope 1 from 0 makes the low-passed variance the factor itself.
     """
     rng = np.random.default_rng(5)
-    T, count, told = random_poses(rng, 1)[0], 4000, 0.1
+    T, count, assumed = random_poses(rng, 1)[0], 4000, 0.1
     m = random_measurements(rng, count, 2, 1)
     body = (m.landmark_references - T[:3, 3]) @ T[:3, :3]
     m = m._replace(
         angular_velocity=np.zeros((count, 3)),
         velocity=np.zeros((count, 3)),
-        vectors=(m.vector_references @ T[:3, :3]) + told * rng.normal(size=(count, 2, 3)),
+        vectors=(m.vector_references @ T[:3, :3]) + assumed * rng.normal(size=(count, 2, 3)),
         vector_weights=np.ones((count, 2)),
         landmark_weights=np.ones((count, 1)),
-        landmarks=body + 3 * told * rng.normal(size=(count, 1, 3)),
+        landmarks=body + 3 * assumed * rng.normal(size=(count, 1, 3)),
     )
     line = RampGain(jnp.asarray(0.0), jnp.asarray(1.0))
     own = kalman(NoiseGains(vectors=line, landmarks=line), SIGNAL._replace(smoothing=5.0))

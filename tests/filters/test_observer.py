@@ -215,7 +215,7 @@ def with_none(state: FilterState) -> FilterState:
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("shape", [(), (2, 3)])
-def test_the_state_gives_back_what_it_was_made_of(shape) -> None:
+def test_the_state_returns_its_input(shape) -> None:
     rng = np.random.default_rng(0)
     T = random_poses(rng, int(np.prod(shape))).reshape(*shape, 4, 4)
     b = rng.normal(size=(*shape, 6))
@@ -233,7 +233,7 @@ def test_the_bias_is_zero_unless_given() -> None:
     assert bias.dtype == np.float32
 
 
-def test_whole_numbers_make_a_state_of_floating_ones() -> None:
+def test_integers_make_a_floating_point_state() -> None:
     with jax.numpy_dtype_promotion("standard"):  # as a user may pass it
         made = jax.eval_shape(lambda: initial_state(np.eye(3, dtype=int), [4, -3, 5], [0] * 6))
     assert {a.dtype for a in jax.tree.leaves(made)} == {np.dtype(np.float32)}
@@ -362,7 +362,7 @@ def test_the_estimated_bias_of_a_missing_vector_stays() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_at_rest_a_bias_can_not_be_told_and_nothing_is_learnt_of_it() -> None:
+def test_at_rest_a_bias_is_not_observable_and_nothing_is_learnt() -> None:
     m, _, state = random_samples(COUNT)
     state = with_vector_biases(state, 3, length=0.1)
     # The measured angular velocity is, and always was, exactly its bias.
@@ -458,7 +458,7 @@ def test_with_fewer_than_two_vectors_there_is_no_cross_product(learns, vectors) 
 
 
 @pytest.mark.usefixtures("x64")
-def test_without_vectors_a_filter_that_learns_their_biases_takes_a_step_all_the_same() -> None:
+def test_without_vectors_a_filter_that_learns_their_biases_still_takes_a_step() -> None:
     m = as_arrays(random_measurements(np.random.default_rng(0), 1, 0, 3), np.float64)
     start = state_of(np.eye(4))
     after = jax.eval_shape(lambda: stepped(start, m.at(0), 5.0, learning()))

@@ -15,7 +15,7 @@ from posegsa.model.signal import SignalSettings
 pytestmark = pytest.mark.quick
 
 
-def test_what_is_packed_comes_back():
+def test_packed_values_are_unpacked_unchanged():
     record = {"a": np.arange(6.0).reshape(2, 3), "b": (np.array(7.0), np.zeros((0, 3)))}
     layout = Layout(record)
     flat = layout.pack(record, np.dtype("float32"))

@@ -84,8 +84,8 @@ def test_nees_is_that_of_the_matrix_form_at_each_time() -> None:
             )
             for k in range(100)
         ]
-        begun = reference_ekf.start(pose, np.zeros(6), 2, noise)
-        states = reference_ekf.run(samples, begun, noise)
+        first_state = reference_ekf.start(pose, np.zeros(6), 2, noise)
+        states = reference_ekf.run(samples, first_state, noise)
         for k in (0, 25, 60, 99):
             error = scipy.linalg.logm(np.linalg.inv(states[k].T) @ T[i, k]).real
             xi = [error[2, 1], error[0, 2], error[1, 0], *error[:3, 3]]
@@ -147,7 +147,7 @@ def test_where_the_filter_is_linear_nees_and_nis_are_chi_squared() -> None:
     right, _ = metrics_of(tracks, batch)
     assert np.mean(right.nees_inside) == pytest.approx(0.95, abs=0.02)
     assert np.mean(right.nis) == pytest.approx(1, abs=0.01)
-    # Noises believed three times too small are found out.
+    # Noises assumed three times too small are detected.
     wrong, _ = metrics_of(error_tracks(believing(1 / 3), batch), batch)
     assert np.mean(wrong.nees) > 2 * high
     assert np.mean(wrong.nees_inside) < 0.6

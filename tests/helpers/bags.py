@@ -56,14 +56,14 @@ class Messages:
 
     def imu(self, stamp: int, omega: np.ndarray, acc: np.ndarray, covariance: float = 0.0) -> Any:
         nothing = np.zeros(9)
-        told = np.array([covariance, *[0.0] * 8])
+        covariances = np.array([covariance, *[0.0] * 8])
         return self.make(
             "sensor_msgs/Imu",
             header=self.header(stamp, "base_link"),
             orientation=self.quaternion(np.eye(3)),
             orientation_covariance=nothing,
             angular_velocity=self.three(omega),
-            angular_velocity_covariance=told,
+            angular_velocity_covariance=covariances,
             linear_acceleration=self.three(acc),
             linear_acceleration_covariance=nothing,
         )

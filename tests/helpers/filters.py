@@ -215,7 +215,7 @@ def biases(state: FilterState) -> np.ndarray:
 
 
 def vector_biases(state: FilterState) -> np.ndarray:
-    """C (..., n, 3)."""
+    """c_i (..., n, 3)."""
     return np.asarray(stacked(state)[2])
 
 

@@ -3,7 +3,7 @@
 import re
 
 
-def assert_told(text: str, *facts: str) -> None:
+def assert_states(text: str, *facts: str) -> None:
     """Check that a message has each of these names, numbers and words as a separate word.
 
     A bound of 1 is then not found in the value -1 or 0.1. Line breaks count as spaces.

@@ -81,7 +81,7 @@ class Trajectory:
     gain: Array  # (N,) requested K, before any gain limit
     e: Array  # (N,) error signal, smoothed, neither scaled nor clipped
     rate: Array  # (N,) its change since the sample before, neither scaled nor clipped
-    unknown: Array  # (N,) what is unknown of the biases, which the scaled error is at least
+    unknown: Array  # (N,) unknown share of the biases, lower limit of the scaled error
     attitude_error: Array  # (N,) ||R_err||_I, in [0, 1]
     position_error: Array  # (N,) |P_err|, m
 
@@ -307,7 +307,7 @@ def pose_errors(T_est: Array, T_true: Array) -> tuple[float, float]:
 
 
 def measured_errors(T_est: Array, sample: Sample) -> tuple[float | None, float | None]:
-    """Attitude and position part of the measured error signal; None where nothing is measured.
+    """Attitude and position part of the measured error signal; None if nothing is measured.
 
     3/(8 sum s^R) sum s^R |R_est u - v^I|^2 of the vectors that are used, and the weighted mean of
     |T_est y - p|.

@@ -70,7 +70,7 @@ def linearised(state: State, s: Sample, noise: Noise) -> tuple[Array, Array, Arr
 
 
 def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> tuple[State, Array]:
-    """The state after all measurements of a sample, linearised so many times, and the correction.
+    """The state after all measurements of a sample, linearised repeatedly, and the correction.
 
     Sigma is still that of the error before the last correction x: the error of the new estimate is
     J (xi - x), J = Ad of the inverse of `half_way`.

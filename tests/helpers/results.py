@@ -145,7 +145,7 @@ PARAMETERS = np.array(
 
 
 def result(*settings: str, **values) -> Result:
-    """A result on scenarios; `values` are fields of it, of its search or of its judgement."""
+    """A result on scenarios; `values` are fields of it, of its search or of its evaluation."""
     filter = description("fuzzy", k=values.pop("parameters", PARAMETERS))
     search = {
         "tuned_on": "scenarios",

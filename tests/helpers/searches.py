@@ -35,14 +35,14 @@ def steered(x: Array) -> Array:
 
 
 class FixedState(NamedTuple):
-    """The positions of `Fixed` and the costs it was told."""
+    """The positions of `Fixed` and the costs from `tell`."""
 
     position: Array
     told: Array
 
 
 class Fixed(Optimiser):
-    """Asks for the same positions 0, 1/4, ..., 1 on a line, and remembers the costs it is told."""
+    """Asks for the same positions 0, 1/4, ..., 1 on a line, and remembers the costs from `tell`."""
 
     agents: int = 5
     iterations: int = 3

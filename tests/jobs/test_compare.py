@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.experiments import tiny
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from scipy import stats
 
 import posegsa
@@ -78,7 +78,7 @@ def test_levels_evaluations_and_seconds() -> None:
     assert comparison.reached("a", 3.0 - 1e-8)[2] == 0.5
     assert comparison.reached("a", 3.0 - 1e-4)[2] < 0.5
     table = comparison.table([4.0])
-    assert_told(table, "something", "6 repeats", "40", "held out", "to 4", "30 (1.5 s")
+    assert_states(table, "something", "6 repeats", "40", "held out", "to 4", "30 (1.5 s")
     assert comparison.markdown([4.0]).count("| --- ") == len(comparison.rows([4.0])[0])
 
 
@@ -103,12 +103,12 @@ def test_infinite_costs_rank_last_and_survive_the_file() -> None:
     plot_comparison(comparison)
 
 
-def test_a_gradients_time_is_told_in_evaluations() -> None:
+def test_a_gradients_time_is_given_in_evaluations() -> None:
     comparison = made(a=A, g=B)
     comparison.gradients["g"] = Gradients(price=5, begin=20)
     # 4 gradients between evaluations 20 and 40, in the second half of 2 s; one takes 2 s / 40.
     assert comparison.gradient_seconds("g") == pytest.approx(0.25)
-    assert_told(comparison.table(), "counts as 5 evaluations", "250 ms")
+    assert_states(comparison.table(), "counts as 5 evaluations", "250 ms")
 
 
 def test_the_figure_shows_median_and_quartiles() -> None:
@@ -126,7 +126,7 @@ def test_the_figure_shows_median_and_quartiles() -> None:
 @pytest.fixture(scope="module")
 def on_sphere(tmp_path_factory: pytest.TempPathFactory):
     """A comparison of two optimisers on the sphere, its folder and its progress."""
-    folder, told = tmp_path_factory.mktemp("compare") / "out", []
+    folder, reports = tmp_path_factory.mktemp("compare") / "out", []
     comparison = posegsa.compare(
         tiny(),
         optimisers=["gsa", "random_search"],
@@ -134,13 +134,13 @@ def on_sphere(tmp_path_factory: pytest.TempPathFactory):
         evaluations=32,
         function=SPHERE,
         out=folder,
-        progress=told.append,
+        progress=reports.append,
     )
-    return comparison, folder, told
+    return comparison, folder, reports
 
 
 def test_a_function_is_searched_as_minimise_would(on_sphere) -> None:
-    comparison, _, told = on_sphere
+    comparison, _, reports = on_sphere
     key = jax.random.fold_in(keys(0).search, 2)
     alone = minimise(SPHERE, SPHERE.box, GSA(agents=6, iterations=5), key)
     third = comparison.repeats["gsa"][2]
@@ -149,7 +149,7 @@ def test_a_function_is_searched_as_minimise_would(on_sphere) -> None:
     assert third.held_out is None
     np.testing.assert_allclose(third.best, alone.history.best, rtol=1e-6)
     assert np.all(np.diff(third.times) >= 0)
-    searches = [step for step in told if step.name == "comparing"]
+    searches = [step for step in reports if step.name == "comparing"]
     assert searches[0] == Step("comparing", 0, 6, "gsa 1/3")
     best = comparison.repeats["random_search"][-1].cost
     assert searches[-1] == Step("comparing", 6, 6, "random_search 3/3", best)
@@ -160,7 +160,7 @@ def test_the_folder_is_complete_and_gone_on_from(on_sphere) -> None:
     assert load_comparison(folder) == comparison
     assert (folder / "comparison.txt").read_text().strip() == comparison.table()
     assert (folder / "comparison.png").read_bytes()[:4] == b"\x89PNG"
-    told = []
+    reports = []
     more = posegsa.compare(
         tiny(),
         optimisers=["random_search"],
@@ -168,11 +168,11 @@ def test_the_folder_is_complete_and_gone_on_from(on_sphere) -> None:
         evaluations=32,
         function=SPHERE,
         out=folder,
-        progress=told.append,
+        progress=reports.append,
     )
-    abouts = {step.about for step in told if step.name == "comparing" and step.done < step.parts}
+    abouts = {step.about for step in reports if step.name == "comparing" and step.done < step.parts}
     assert abouts == {"random_search 4/4"}, "only what is missing is searched"
-    assert list(more.repeats) == ["random_search", "gsa"], "what the folder held is kept"
+    assert list(more.repeats) == ["random_search", "gsa"], "the content of the folder is kept"
     assert more.repeats["gsa"] == comparison.repeats["gsa"]
     assert more.repeats["random_search"][:3] == comparison.repeats["random_search"]
     assert "3 to 4 repeats" in more.heading()
@@ -225,7 +225,7 @@ def test_a_filter_of_the_users_own_is_refused(job) -> None:
         job(config.override(tiny(), ["filter.kind=own"]))
 
 
-def test_an_interrupted_comparison_goes_on_with_others(monkeypatch, tmp_path) -> None:
+def test_an_interrupted_comparison_continues_with_the_others(monkeypatch, tmp_path) -> None:
     same = {"repeats": 2, "evaluations": 32, "function": SPHERE, "out": tmp_path}
 
     def interrupted(step: Step) -> None:
@@ -327,8 +327,8 @@ def test_the_command_prints_the_table(tmp_path, capsys) -> None:
     words += ["--set", "search.agents=6", "--repeats", "2", "--optimisers", "gsa,random_search"]
     assert main([*words, "--levels", "9000", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()
-    assert_told(said.out, "sphere", "2 dimensions", "2 repeats", "32 evaluations", "to 9000")
-    assert_told(said.err, "3/4", "random_search 2/2", "done")
+    assert_states(said.out, "sphere", "2 dimensions", "2 repeats", "32 evaluations", "to 9000")
+    assert_states(said.err, "3/4", "random_search 2/2", "done")
     assert "stopped" not in said.err
     assert json.loads((tmp_path / "out" / "comparison.json").read_text())["budget"] == 32
 
@@ -344,9 +344,9 @@ def test_the_command_prints_the_table(tmp_path, capsys) -> None:
         (["--evaluations", "10"], ["evaluations = 10", "32", "gsa"]),
     ],
 )
-def test_bad_input_is_told_with_what_is_allowed(words, facts, capsys) -> None:
+def test_bad_input_is_reported_with_what_is_allowed(words, facts, capsys) -> None:
     assert main(["compare", *words]) == 2
-    assert_told(capsys.readouterr().err, *facts)
+    assert_states(capsys.readouterr().err, *facts)
 
 
 @pytest.mark.parametrize("arguments", [{"repeats": 0}, {"evaluations": 2.5}, {"repeats": True}])

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.experiments import tiny
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import bench
 from helpers.recordings import short_parts as short_parts
 
@@ -77,19 +77,19 @@ def kalman_estimates(
     return posegsa.run_filter(described_filter(found, kalman, None, (2, 1)), recording)
 
 
-def test_other_filters_stand_beside_it_on_the_same_recordings(
+def test_other_filters_are_compared_on_the_same_recordings(
     result: Result, recordings: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("posegsa.judging.tuned_kalman.MAX_EVALUATIONS", 40)
     monkeypatch.setattr("posegsa.judging.tuned_kalman.CHECK_INTERVAL", 40)
-    told: list[Step] = []
+    reports: list[Step] = []
     judged = judged_on(
         posegsa.evaluate(
-            result, recordings=recordings[1], training=recordings[0], progress=told.append
+            result, recordings=recordings[1], training=recordings[0], progress=reports.append
         )
     )
     assert list(judged.baselines) == [CONSTANT, EKF]
-    searched = (step.about for step in told if step.name == "searching")
+    searched = (step.about for step in reports if step.name == "searching")
     assert list(dict.fromkeys(searched)) == [CONSTANT, EKF]
     for (score,) in (judged.held_out, *judged.baselines.values()):
         assert score.name == "bench"
@@ -155,10 +155,10 @@ def noises(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
     run: Result, recordings: list[Recording]
 ) -> None:
-    told: list[Step] = []
-    result = posegsa.evaluate(run, recordings=recordings, progress=told.append)
+    reports: list[Step] = []
+    result = posegsa.evaluate(run, recordings=recordings, progress=reports.append)
     judged = judged_on(result)
-    assert {(step.name, step.about) for step in told} == {("searching", EKF)}
+    assert {(step.name, step.about) for step in reports} == {("searching", EKF)}
     assert list(judged.baselines) == [CONSTANT, EKF]
     assert run.on_scenarios is not None
     contenders = run.on_scenarios.evaluation.contenders
@@ -176,16 +176,16 @@ def test_a_run_on_scenarios_is_judged_beside_filters_of_the_same_scenarios(
         estimates = kalman_estimates(NOISES, run.experiment, recording)
         again = posegsa.recording_errors(estimates, recording).rmse()
         assert judged.baselines[EKF][i].errors == again
-    assert_told(result.summary(), "on 3 training scenarios", f"{CONSTANT}, held out")
+    assert_states(result.summary(), "on 3 training scenarios", f"{CONSTANT}, held out")
     assert "No recording was held out" not in result.summary()
     # Baselines that the run already has are not searched again.
     other = NOISES._replace(also=NOISES.also | {"filter.landmark": 0.3})
     known = contenders[CONSTANT]._replace(filter=other)
     wider = replace(run.on_scenarios.evaluation, contenders=contenders | {EKF: known})
     wider = replace(run, on_scenarios=replace(run.on_scenarios, evaluation=wider))
-    told.clear()
-    again = judged_on(posegsa.evaluate(wider, recordings=recordings[0], progress=told.append))
-    assert not told
+    reports.clear()
+    again = judged_on(posegsa.evaluate(wider, recordings=recordings[0], progress=reports.append))
+    assert not reports
     estimates = kalman_estimates(other, run.experiment, recordings[0])
     expected = posegsa.recording_errors(estimates, recordings[0]).rmse()
     assert again.baselines[EKF][0].errors == expected
@@ -245,16 +245,16 @@ def test_the_command_judges_runs_of_both_kinds(
     assert (folder / "summary.txt").read_text().strip() in said.out
     judged = posegsa.load(folder)
     assert [one.name for one in judged_on(judged).held_out] == ["bench", "bench"]
-    assert judged.on_scenarios is not None, "what it is worth on scenarios stays"
+    assert judged.on_scenarios is not None, "its evaluation on scenarios stays"
     assert main(["evaluate", str(folder), "--training", files[0]]) == 2
-    assert_told(capsys.readouterr().err, "--training", "with --recording")
+    assert_states(capsys.readouterr().err, "--training", "with --recording")
     assert main(["evaluate", str(folder), "--bridge", "hold"]) == 2
-    assert_told(capsys.readouterr().err, "--bridge", "with --recording")
+    assert_states(capsys.readouterr().err, "--bridge", "with --recording")
     bridged = ["--recording", files[0], "--longest-gap", "0.5"]
     assert main(["evaluate", str(folder), *bridged]) == 2
-    assert_told(capsys.readouterr().err, "--longest-gap", "with --bridge")
+    assert_states(capsys.readouterr().err, "--longest-gap", "with --bridge")
     assert main(["evaluate", str(folder), "--recording", files[0], "--seed", "1"]) == 2
-    assert_told(capsys.readouterr().err, "--seed", "without --recording")
+    assert_states(capsys.readouterr().err, "--seed", "without --recording")
     folder = posegsa.save(result, tmp_path / "recorded")
     assert main(["evaluate", str(folder), "--recording", files[1], "--window", "0.5:"]) == 0
     again = judged_on(posegsa.load(folder))

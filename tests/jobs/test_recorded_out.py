@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.compiled_c import Build, Layout, needs_cc, run_c
 from helpers.compiled_c import build as build
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import motion
 
 import posegsa
@@ -139,7 +139,7 @@ def test_the_c_is_the_estimate(
         (*attitude, Layout(2, 0, learns=True), ("-DATTITUDE_ONLY",)),
     ):
         text = export(result, "c")
-        assert_told(text, "Root mean square errors", "recordings")
+        assert_states(text, "Root mean square errors", "recordings")
         start, estimates = given.initial(), result.estimate(given)
         q = posegsa.tum_text([0.0], start.rotation[None]).split()[4:]
         begin = np.array([*q[-1:], *q[:-1]], float)
@@ -187,13 +187,13 @@ def test_a_filter_of_the_attitude_alone_says_whether_that_is_observable(
     attitude: tuple[Result, Recording],
 ) -> None:
     found = posegsa.PoseFilter(attitude[0], rotation=np.eye(3), position=np.zeros(3))
-    assert_told(found.why_unobservable, "no vectors")
+    assert_states(found.why_unobservable, "no vectors")
     known = np.array(attitude[0].known_sensors.vectors)
     found.update(time_step=0.01, angular_velocity=np.zeros(3), vectors=known)
     assert found.observable
     for _ in range(2):  # of two seconds, in which one vector is measured
         found.update(time_step=1.0, angular_velocity=np.zeros(3), vectors=[known[0], None])
-    assert_told(found.why_unobservable, "1 vector")
+    assert_states(found.why_unobservable, "1 vector")
 
 
 def test_the_controller_is_made_once(fuzzy: Result) -> None:
@@ -202,7 +202,7 @@ def test_the_controller_is_made_once(fuzzy: Result) -> None:
     assert fuzzy.schedule is fuzzy.candidate.schedule
 
 
-def test_what_a_result_warns_of_stands_in_what_is_exported_of_it(fuzzy: Result) -> None:
+def test_warnings_of_a_result_are_in_its_exports(fuzzy: Result) -> None:
     """It also says so if constant gains are better on all judged recordings."""
     assert fuzzy.on_recordings is not None
     (score,) = fuzzy.on_recordings.held_out
@@ -229,8 +229,8 @@ def test_what_a_result_warns_of_stands_in_what_is_exported_of_it(fuzzy: Result) 
     )
     behind = dataclasses.replace(beside(0.5, 0.5), search=found_by)
     worse, few = behind.warnings()
-    assert_told(few, "3 agents", "no finite cost")
-    assert_told(worse, "held out", "best constant gains")
+    assert_states(few, "3 agents", "no finite cost")
+    assert_states(worse, "held out", "best constant gains")
     assert json.loads(export(behind, "json"))["warnings"] == [worse, few]
     for name in ("c", "c-gain", "fll"):
         head = " ".join(re.sub(r"(?m)^( \*|#)", " ", export(behind, name)).split())
@@ -261,7 +261,7 @@ def test_sensors_that_recordings_have_not_in_common_are_not_guessed(
         np.testing.assert_array_equal(chosen.landmarks, moved)
     with pytest.raises(ArgumentError, match="references differ"):
         posegsa.PoseFilter(tuned, rotation=np.eye(3), position=np.zeros(3))
-    assert_told(export(tuned, "c-gain"), "vectors and landmarks")
+    assert_states(export(tuned, "c-gain"), "vectors and landmarks")
     own = posegsa.PoseFilter(
         tuned,
         rotation=np.eye(3),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.experiments import tiny
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import bench, motion
 from helpers.recordings import short_parts as short_parts
 
@@ -162,7 +162,7 @@ def test_what_a_file_lacks_is_bridged_by_name(
         ["1 sample", "300", "bridged", "interpolate"],
     )
     for note, facts in zip(data["notes"], expected, strict=True):
-        assert_told(note, *facts)
+        assert_states(note, *facts)
         assert note in said
         assert note in table
 
@@ -229,7 +229,7 @@ def test_the_true_trajectory_is_all_that_is_known(
         ("t.csv", "time\n1\n", r"lacks wx wy wz.*time"),
     ],
 )
-def test_what_is_no_recording_is_named_with_what_is_allowed(
+def test_a_value_that_is_not_a_recording_is_named_with_what_is_allowed(
     name: str,
     content: str | None,
     words: str,
@@ -246,7 +246,7 @@ def test_what_is_no_recording_is_named_with_what_is_allowed(
 
 
 @pytest.mark.parametrize("argument", [{"figures": ["gain"]}, {"overwrite": True}])
-def test_what_is_of_a_folder_is_refused_without_one(
+def test_options_about_the_folder_are_refused_without_one(
     result: Result, recording: Recording, argument: dict
 ) -> None:
     (name,) = argument

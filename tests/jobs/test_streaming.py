@@ -302,7 +302,7 @@ def test_a_sensor_without_weight_fixes_nothing(result):
 # Checkpoints --------------------------------------------------------------------------------------
 
 
-def test_a_checkpoint_goes_on_to_the_same_bits(result, tmp_path):
+def test_a_checkpoint_resumes_to_the_same_bits(result, tmp_path):
     steps, samples, _ = stream(result)
     samples["angular_velocity"][21] = np.nan  # kept across the checkpoint
     one, other = (posegsa.PoseFilter(result, **START) for _ in range(2))
@@ -331,7 +331,7 @@ def test_a_filter_can_be_pickled(result):
     assert other.time == one.time
 
 
-def test_reset_begins_anew(result, pose_filter):
+def test_reset_starts_again(result, pose_filter):
     steps, samples, _ = stream(result)
     first = fed(pose_filter, steps, samples)[-1]
     pose_filter.reset()
@@ -515,7 +515,7 @@ def test_a_state_that_is_no_floating_number_is_refused():
         ({"place": math.inf}, "NaN or infinite"),
     ],
 )
-def test_what_is_no_estimate_is_refused(factor, message):
+def test_an_invalid_estimate_is_refused(factor, message):
     """An absurd result of a step is refused too: XLA's sine of 1e18 rad may be of any size."""
     observer = posegsa.Observer(posegsa.ConstantGain(jnp.float32(5.0)))
     pose_filter = posegsa.PoseFilter(Spoilt(observer, **factor), **START)
@@ -562,7 +562,7 @@ def test_names_of_inertial_sensors_are_only_of_the_attitude_filter(result) -> No
         live.update(**still, angular_velocity=[0, 0, 0])
     with pytest.raises(ArgumentError, match="acc, mag; allowed: without vectors"):
         live.update(**still, vectors=[None, None])
-    with pytest.raises(ArgumentError, match=r"acc, mag; allowed: .*only of the attitude filter"):
+    with pytest.raises(ArgumentError, match=r"acc, mag; allowed: .*only for the attitude filter"):
         posegsa.PoseFilter(result, **START).update(**still)
     with pytest.raises(MeasurementError, match="angular_velocity: missing"):
         live.update(time_step=0.01, acc=[0, 0, 9.81])

@@ -36,9 +36,9 @@ def searched(monkeypatch) -> list[int]:
     sizes: list[int] = []
     search = sweeping.search_batch
 
-    def counted(problems, told):
+    def counted(problems, reports):
         sizes.append(len(problems))
-        return search(problems, told)
+        return search(problems, reports)
 
     monkeypatch.setattr(sweeping, "search_batch", counted)
     return sizes
@@ -98,19 +98,19 @@ def test_a_run_that_is_done_is_not_made_again(whole, searched, tmp_path):
 
 
 def test_it_says_that_it_prepares_while_it_does(monkeypatch):
-    told, structure = [], sweeping._structure
+    reports, structure = [], sweeping._structure
 
     def looked(experiment):
-        assert {step.name for step in told} == {"preparing"}
+        assert {step.name for step in reports} == {"preparing"}
         return structure(experiment)
 
     monkeypatch.setattr(sweeping, "_structure", looked)
     monkeypatch.setattr(sweeping, "_search", lambda *given: iter(()))
-    posegsa.sweep(tiny(), vary={GAMMA: GAMMAS}, progress=told.append)
-    assert [step.name for step in told][-1] == "sweeping"
+    posegsa.sweep(tiny(), vary={GAMMA: GAMMAS}, progress=reports.append)
+    assert [step.name for step in reports][-1] == "sweeping"
 
 
-def test_stopped_it_goes_on(whole, searched, tmp_path):
+def test_a_stopped_one_continues(whole, searched, tmp_path):
     _, found = whole
 
     def stop(step) -> None:
@@ -193,11 +193,11 @@ def unsearched(monkeypatch) -> list[int]:
     """The sizes of the batches; their searches end at once."""
     sizes: list[int] = []
 
-    def begun(problems, _):
+    def one_batch(problems, _):
         sizes.append(len(problems))
         return [Found(first_search(problem), 0.0, 0.0) for problem in problems]
 
-    monkeypatch.setattr(sweeping, "search_batch", begun)
+    monkeypatch.setattr(sweeping, "search_batch", one_batch)
     return sizes
 
 
@@ -215,9 +215,9 @@ def test_what_differs_in_structure_is_batched_apart(unsearched):
     assert "random_search" in found.table()
 
 
-def test_a_rule_table_that_is_searched_stands_in_its_run(whole, monkeypatch):
-    def one_by_one(problems, told):
-        return [run_search(problem, told) for problem in problems]
+def test_a_searched_rule_table_is_in_its_run(whole, monkeypatch):
+    def one_by_one(problems, reports):
+        return [run_search(problem, reports) for problem in problems]
 
     monkeypatch.setattr(sweeping, "search_batch", one_by_one)  # with the program of `tune`
     searched, given = (

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.experiments import TINY as SCENARIOS
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import bench
 from helpers.recordings import short_parts as short_parts
 
@@ -112,7 +112,7 @@ def test_a_search_without_a_finite_cost_is_no_result(recordings: list[Recording]
     assert found.best_cost == np.inf
     assert found.search is not None
     assert found.search.non_finite == 24
-    assert_told(found.summary(), "no agent had a finite cost", "24 agents")
+    assert_states(found.summary(), "no agent had a finite cost", "24 agents")
     assert found.on_recordings is not None
     assert found.on_recordings.held_out[0].errors["judged"].total == np.inf
 
@@ -180,11 +180,11 @@ def test_the_command_tunes_on_files(
     assert main([*again, *files, "--window", "0:2"]) == 0
     assert (tmp_path / "run" / "summary.txt").read_text().strip() in capsys.readouterr().out
     assert main([*again, *files, "--window", "0:1"]) == 2
-    assert_told(capsys.readouterr().err, "recordings[0]", "other numbers")
+    assert_states(capsys.readouterr().err, "recordings[0]", "other numbers")
     assert main(again) == 2
     assert "without recordings" in capsys.readouterr().err
     assert main([*command, *files[:2], "--held-out-window", "1:2"]) == 2
-    assert_told(capsys.readouterr().err, "--held-out-window", "with --held-out")
+    assert_states(capsys.readouterr().err, "--held-out-window", "with --held-out")
     assert main([*command, "--overwrite", "--recording", str(tmp_path / "no.npz")]) == 2
     assert "no such file" in capsys.readouterr().err
 
@@ -214,7 +214,7 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
     assert exported["numbers"] == {"gain": [8.0]}
     assert exported["filter"]["cross_vector"] is False
     assert main_quietly(["export", str(tmp_path / "run"), "--format", "fis"]) == 2
-    assert_told(capsys.readouterr().err, "constant gain", "json", "c")
+    assert_states(capsys.readouterr().err, "constant gain", "json", "c")
     space = posegsa.parameter_space(chosen)
     controller = space.controller(0.5 * (space.lower + space.upper))
     again = json.loads(
@@ -229,7 +229,7 @@ def test_a_gain_made_by_hand_is_judged_saved_and_exported(
         posegsa.configured(schedule="fast")  # type: ignore[arg-type]  # wrong on purpose
 
 
-def test_an_interrupted_search_goes_on_to_the_same_bits(
+def test_an_interrupted_search_resumes_to_the_same_bits(
     result: Result, recordings: list[Recording], tmp_path: Path
 ) -> None:
     def stop(step: Step) -> None:
@@ -293,12 +293,12 @@ def test_scenarios_are_tuned_on_beside_recordings(
     both = 0.5 * alone + 0.5 * float(np.mean(on.simulated.training))
     assert found.best_cost == pytest.approx(both, rel=0.02)
     said = found.summary()
-    assert_told(said, "1 recording", "3 training scenarios")
+    assert_states(said, "1 recording", "3 training scenarios")
     assert f"{np.mean(on.simulated.held_out):.4g}" in said
     assert plain(posegsa.load(tmp_path)) == plain(found)
 
 
-def test_a_searched_rule_table_stands_in_the_result_and_what_is_made_of_it(
+def test_a_searched_rule_table_is_in_the_result_and_its_exports(
     recordings: list[Recording], tmp_path: Path
 ) -> None:
     """A result with a made-up controller; `test_tuning` searches one, on scenarios."""
@@ -391,7 +391,7 @@ def test_without_a_configuration_the_noises_are_those_that_the_recordings_show()
     assert found.experiment.filter.landmark == pytest.approx(0.1, rel=0.2)
     keys = ["filter.angular_velocity", "filter.velocity", "filter.linear_walk"]
     assert list(found.filter.also) == keys
-    # The summary ends with what is best on what was held out.
+    # The summary ends with the best filter on the held-out recordings.
     last = found.summary().split("Tuned: filter.angular_velocity")[1]
     assert "On what was held out the filter errs by" in last
     assert KALMAN_AS_IT_COMES in last
@@ -410,7 +410,9 @@ def test_a_search_that_gains_too_little_changes_nothing(least: float) -> None:
     assert found.on_recordings is not None
     words = f"the search gained less than {100 * least:.3g} % of the cost"
     assert (words in found.summary()) == same
-    assert (NOISES_FOUND in found.on_recordings.baselines) != same, "it would stand beside itself"
+    assert (NOISES_FOUND in found.on_recordings.baselines) != same, (
+        "it would be compared with itself"
+    )
 
 
 def test_without_a_velocity_the_attitude_filter_is_the_default() -> None:
@@ -418,7 +420,7 @@ def test_without_a_velocity_the_attitude_filter_is_the_default() -> None:
     assert default_experiment([inertial]).filter.kind == "imu"
 
 
-def test_held_out_samples_that_are_tuned_on_are_told() -> None:
+def test_held_out_samples_that_are_tuned_on_are_reported() -> None:
     given, rng = bench(1000), np.random.default_rng(0)
     for name in ("angular_velocity", "velocity", "vectors", "landmarks"):
         given[name] = given[name] + 0.1 * rng.standard_normal(given[name].shape)

@@ -40,12 +40,12 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A finished run: its result, its folder and its progress messages."""
-    told: list[Step] = []
+    reports: list[Step] = []
     folder = tmp_path_factory.mktemp("run") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(figure_style, "DPI", 15)
-        result = posegsa.tune(tiny(), out=folder, progress=told.append)
-    return result, folder, told
+        result = posegsa.tune(tiny(), out=folder, progress=reports.append)
+    return result, folder, reports
 
 
 def test_the_best_cost_is_that_of_the_parameters_on_the_training_scenarios(run):
@@ -74,7 +74,7 @@ def test_the_number_of_scenarios_does_not_change_the_first_ones():
     assert (few == many[:3]).all()
 
 
-def test_neither_their_number_nor_their_length_changes_a_bit_of_what_scenarios_begin_with():
+def test_the_start_of_scenarios_depends_neither_on_their_number_nor_on_their_length():
     short = tiny()
     long = short.replace(**{"scenario.duration": 2 * short.scenario.duration})
     few, many = (scenario_batch(e, training_keys(3, n)) for e, n in ((short, 2), (long, 17)))
@@ -103,15 +103,15 @@ def test_history_and_counts(run):
 
 
 def test_progress_begins_at_zero_and_ends_at_the_end(run):
-    result, _, told = run
-    searching = [step for step in told if step.name == "searching"]
+    result, _, reports = run
+    searching = [step for step in reports if step.name == "searching"]
     assert [step.done for step in searching] == [0, 1, 2, 3, 4]
     assert {step.parts for step in searching} == {4}
     assert searching[0].best_cost == math.inf
     assert searching[-1].best_cost == result.best_cost
 
 
-def test_progress_is_told_of_every_step(run):
+def test_progress_is_reported_for_every_step(run):
     names = dict.fromkeys(step.name for step in run[2])
     assert list(names) == ["preparing", "compiling", "searching", "judging", "drawing"]
 
@@ -230,12 +230,12 @@ def comparable(folder: Path) -> dict:
     return {"result": data} | {name: (folder / name).read_bytes() for name in names}
 
 
-def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
-    told: list[float] = []
+def test_a_run_stopped_by_ctrl_c_resumes_as_if_never_stopped(run, tmp_path):
+    reports: list[float] = []
 
     def iterations(step: Step) -> None:
         if step.name == "searching":
-            told.append(step.done)
+            reports.append(step.done)
 
     def interrupt(step: Step) -> None:
         iterations(step)
@@ -244,15 +244,15 @@ def test_a_run_stopped_by_ctrl_c_goes_on_as_if_it_had_not_been(run, tmp_path):
 
     with pytest.raises(SearchInterrupted, match="after iteration 2 of 4"):
         posegsa.tune(tiny(), out=tmp_path, progress=interrupt, figures=[])
-    assert told == [0, 1, 2], "of what is done it is told too"
+    assert reports == [0, 1, 2], "what is done already is reported too"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     with pytest.raises(RunFolderError, match="unfinished run"):
         posegsa.tune(tiny(), out=tmp_path)
     with pytest.raises(RunFolderError, match="no finished run"):
         posegsa.load(tmp_path)
-    told.clear()
+    reports.clear()
     posegsa.tune(resume=tmp_path, progress=iterations, figures=[])
-    assert told == [2, 3, 4]
+    assert reports == [2, 3, 4]
     assert comparable(tmp_path) == comparable(run[1])
     # Resumed again, the run is finished and says so without searching.
     again = posegsa.tune(tiny(), resume=tmp_path, progress=lambda _: pytest.fail("it searched"))
@@ -303,7 +303,7 @@ def test_a_damaged_folder_is_refused_by_name(run, tmp_path, damage, said):
         posegsa.load(folder)
 
 
-def test_estimates_of_own_measurements_refuse_what_is_no_pose(run):
+def test_estimates_of_own_measurements_refuse_an_invalid_pose(run):
     # As many samples and the same sensors as an example, whose preparation is already compiled.
     own = posegsa.Measurements.from_arrays(
         time_step=np.full(900, 0.01),

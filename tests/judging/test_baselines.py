@@ -81,11 +81,11 @@ def inputs(error, time=0.0) -> ScheduleInputs:
 
 
 OWN_KIND = {"constant": {CONSTANT, REPLAYED}, "smooth": {SMOOTH}, "kalman": {REPLAYED}}
-"""What cannot stand beside a filter of a kind: its own kind, and gains that it has not."""
+"""Filters that cannot be compared with one of a kind: the same kind, and gains that it lacks."""
 
 
 @pytest.mark.parametrize("kind", ["fuzzy", "constant", "smooth", "kalman"])
-def test_each_other_filter_can_stand_beside_a_tuned_one(problem, kind) -> None:
+def test_each_other_filter_can_be_compared_with_a_tuned_one(problem, kind) -> None:
     settings = ["filter.kind=kalman"] if kind == "kalman" else [f"filter.schedule={kind}"]
     own = problem._replace(experiment=config.override(problem.experiment, settings))
     found = baselines.baselines(own, Description(kind, {}, {}, 24))

@@ -1,4 +1,4 @@
-"""The clairvoyant's costs: paired with other filters', and blind to what it is told."""
+"""The clairvoyant's costs: paired with other filters', and independent of the events it knows."""
 
 from typing import Any
 

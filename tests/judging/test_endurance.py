@@ -120,7 +120,7 @@ def test_the_distance_has_a_table_and_a_warning_of_its_own() -> None:
     far = made(distance=np.array([3.0, 0.25, 0.2, 1.0]))
     assert far.worse() == ["distance from 60 to 120 s"]
     title, *_, last, words = far.table(("tuned filter", "constant"), 16).splitlines()
-    assert_told(title, "16")
+    assert_states(title, "16")
     assert last.split("  ")[0] == "60 to 120 s"
     assert [float(cell) for cell in last.replace("deg", "cm").split() if cell.count(".")] == [
         *(5.5, 10.0, 100.0),

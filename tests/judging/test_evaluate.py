@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 from helpers.experiments import tiny
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.results import changed
 from helpers.results import evaluation as made_up
 from scipy import stats
@@ -56,25 +56,25 @@ def evaluated():
     patch = pytest.MonkeyPatch()
     patch.setattr(tuned_kalman, "CHECK_INTERVAL", 20)
     patch.setattr(tuned_kalman, "MAX_EVALUATIONS", 40)
-    told: list[Step] = []
+    reports: list[Step] = []
     tuned = posegsa.tune(tiny())
-    result = evaluate(tuned, scenarios=3, progress=told.append)
-    yield tuned, result, told
+    result = evaluate(tuned, scenarios=3, progress=reports.append)
+    yield tuned, result, reports
     patch.undo()
 
 
-def about(name: str, told: list[Step]) -> list[str]:
+def about(name: str, reports: list[Step]) -> list[str]:
     """`about` of the parts of a step, in order."""
-    return list(dict.fromkeys(step.about for step in told if step.name == name))
+    return list(dict.fromkeys(step.about for step in reports if step.name == name))
 
 
 def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
-    _, result, told = evaluated
+    _, result, reports = evaluated
     contenders = result.on_scenarios.evaluation.contenders
     assert tuple(contenders) == BESIDE
     found_by_tune = {TUNED, CONSTANT, UNTUNED}
-    assert set(about("searching", told)) == {*BESIDE} - found_by_tune
-    assert about("judging", told) == [*BESIDE, CLAIRVOYANT]
+    assert set(about("searching", reports)) == {*BESIDE} - found_by_tune
+    assert about("judging", reports) == [*BESIDE, CLAIRVOYANT]
     starts = [c.metrics.initial_angle for n, c in contenders.items() if n != UNTUNED]
     assert all(len(s) == 3 for s in starts)
     for start in starts:
@@ -86,10 +86,10 @@ def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
 
 def test_what_was_found_is_not_searched_again(evaluated):
     _, result, _ = evaluated
-    told: list[Step] = []
-    again = evaluate(result, scenarios=3, progress=told.append)
-    assert {step.name for step in told} == {"preparing", "judging"}
-    assert about("judging", told) == [*BESIDE, CLAIRVOYANT]
+    reports: list[Step] = []
+    again = evaluate(result, scenarios=3, progress=reports.append)
+    assert {step.name for step in reports} == {"preparing", "judging"}
+    assert about("judging", reports) == [*BESIDE, CLAIRVOYANT]
     for name, contender in again.on_scenarios.evaluation.contenders.items():
         before = result.on_scenarios.evaluation.contenders[name]
         assert contender.filter == before.filter
@@ -111,7 +111,7 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
     assert f"searching {REPLAYED} ..." in said.err
     for contender in BESIDE:
         assert contender in said.out
-        assert contender in said.err, "long work says what it does"
+        assert contender in said.err, "long work states what it does"
     assert "judging: done after" in said.err
     stored = json.loads((folder / RESULT).read_text())["on_scenarios"]["evaluation"]
     assert stored["seed"] == 2
@@ -131,7 +131,7 @@ def test_a_filter_that_was_not_searched_is_not_called_tuned(monkeypatch, tmp_pat
     monkeypatch.setattr(
         evaluating,
         "baselines",
-        lambda *given: {SMOOTH: every(*given)[SMOOTH]},  # the one that stands beside it
+        lambda *given: {SMOOTH: every(*given)[SMOOTH]},  # the one that it is compared with
     )
     by_hand = posegsa.configured(tiny(), schedule=posegsa.ConstantGain(np.float32(8.0)))  # type: ignore[arg-type]  # a NumPy scalar will do for an array
     result = evaluate(by_hand, scenarios=3)
@@ -191,7 +191,7 @@ def test_json_gives_everything_back(evaluated):
         assert again.contenders[name].filter == contender.filter
 
 
-def test_a_diverged_contender_is_told_and_not_averaged_away(evaluated):
+def test_a_diverged_contender_is_reported_and_not_averaged_away(evaluated):
     evaluation = evaluated[1].on_scenarios.evaluation
     first = evaluation.contenders[CONSTANT]
     cost = first.metrics.cost.copy()
@@ -239,10 +239,10 @@ def test_the_table_holds_every_contender(evaluated):
     sure = (EKF, EKF_VECTORS, UNTUNED)
     for name in BESIDE:
         assert heads.count(name) == (3 if name in sure else 2)
-    assert_told(text.splitlines()[0], "Cost", "3 scenarios")
+    assert_states(text.splitlines()[0], "Cost", "3 scenarios")
 
 
-def test_the_verdict_names_what_costs_less_the_lowest_first():
+def test_the_verdict_names_cheaper_filters_the_lowest_cost_first():
     given = made_up((TUNED, CONSTANT, SMOOTH, EKF))
     spread = np.linspace(-0.1, 0.1, given.scenarios)
     for name, cost in ((TUNED, 5.0), (CONSTANT, 4.0), (SMOOTH, 3.0), (EKF, 6.0)):
@@ -256,16 +256,16 @@ def test_the_verdict_names_what_costs_less_the_lowest_first():
     assert "EKF" not in words
 
 
-def test_the_clairvoyant_stands_below_the_costs_and_in_the_verdict():
+def test_the_clairvoyant_is_below_the_costs_and_in_the_verdict():
     given = made_up((TUNED, CONSTANT))
     assert "clairvoyant" not in given.table() + given.verdict()
-    told = replace(given, clairvoyant=np.full(given.scenarios, 1.25))
-    costs, behaviour = told.tables()
+    known = replace(given, clairvoyant=np.full(given.scenarios, 1.25))
+    costs, behaviour = known.tables()
     assert [row[0] for row in costs[1:]] == [TUNED, CONSTANT, CLAIRVOYANT]
     assert costs[-1][1:2] == ["1.25"]
-    assert [row[0] for row in behaviour[1:]] == [TUNED, CONSTANT], "nothing else is kept of it"
-    assert "the clairvoyant, which is told what no filter can know, has 1.25" in told.verdict()
-    assert from_json(Evaluation, to_json(told, SCHEMA), SCHEMA, FILE).costs[CLAIRVOYANT][0] == 1.25
+    assert [row[0] for row in behaviour[1:]] == [TUNED, CONSTANT], "nothing else of it is stored"
+    assert "the clairvoyant, which knows what no filter can know, has 1.25" in known.verdict()
+    assert from_json(Evaluation, to_json(known, SCHEMA), SCHEMA, FILE).costs[CLAIRVOYANT][0] == 1.25
 
 
 def test_a_difference_that_may_be_chance_is_not_in_the_verdict():

@@ -63,7 +63,7 @@ def test_the_distance_is_from_the_estimated_to_the_true_position(posed, tracks):
 def test_settling_is_the_last_time_outside(posed):
     position = np.zeros((4, 200))
     position[0, :37] = 1.0  # outside until sample 36
-    position[1, 100] = 0.6  # outside once more
+    position[1, 100] = 0.6  # outside again
     position[2, 199] = 0.6  # outside at the very end
     attitude = np.zeros((4, 200))
     found, _ = metrics_of(made(attitude, position, posed), posed.select(slice(4)))

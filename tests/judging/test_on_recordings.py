@@ -1,4 +1,4 @@
-"""What a result on recordings says in words."""
+"""The text of a result on recordings."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_one_that_is_better_in_position_alone_is_named_too() -> None:
 def test_where_none_is_better_it_says_so() -> None:
     words = verdict((0.2, None), VQF=(0.199, None), Madgwick=(0.5, None))
     assert (
-        "errs by 0.2 deg. No filter beside it (VQF, Madgwick) errs less, in attitude or in "
+        "errs by 0.2 deg. No other filter (VQF, Madgwick) errs less, in attitude or in "
         "position: take it, `posegsa export"
     ) in words
 
@@ -54,7 +54,9 @@ def test_intervals_of_shares_are_those_of_paired_blocks() -> None:
         return [one._replace(blocks=Blocks(squares.tolist(), None))] * 2
 
     (half,) = shares(filter(1.0, 0.0), filter(0.5, 0.0)).values()
-    assert half == pytest.approx((0.5, 0.5, 0.5)), "what is hard for both is no difference"
+    assert half == pytest.approx((0.5, 0.5, 0.5)), (
+        "a recording that is hard for both makes no difference"
+    )
     (alike,) = shares(filter(1.0, 0.5), filter(0.9, 0.5)).values()
     assert alike.low < 1 < alike.high
     assert "maybe by chance" in str(alike)

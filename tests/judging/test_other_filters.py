@@ -28,7 +28,7 @@ def imu(samples: int = 2000, rate: float = 100.0) -> Recording:
 
 
 @pytest.mark.parametrize("name", list(OTHER_FILTERS))
-def test_each_filter_speaks_of_the_same_frame(name: str) -> None:
+def test_each_filter_uses_the_same_frame(name: str) -> None:
     if not installed(name):
         pytest.skip(f'{name} is not installed (pip install ".[compare]")')
     recording = imu()

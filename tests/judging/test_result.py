@@ -1,4 +1,4 @@
-"""What a result says of its own numbers."""
+"""What a result reports about its own numbers."""
 
 import numpy as np
 import pytest

@@ -40,29 +40,29 @@ def test_the_noises_are_all_that_the_filter_has() -> None:
 
 
 @pytest.fixture(scope="module")
-def told() -> list[steps.Step]:
+def reports() -> list[steps.Step]:
     """What the searches of `found` report, after them."""
     return []
 
 
 @pytest.fixture(scope="module")
-def found(problem, told):
+def found(problem, reports):
     """Two searches of one generation, with the program of `test_evaluate`."""
     patch = pytest.MonkeyPatch()
     patch.setattr(tuned_kalman, "CHECK_INTERVAL", 20)
     patch.setattr(tuned_kalman, "MAX_EVALUATIONS", 40)
     beside = variant_of(problem, kalman_experiment(TINY, vector_biases=False))
-    with steps.listening(told.append):
+    with steps.listening(reports.append):
         steps.begin("judging", 1, 2)
         yield [tune_kalman(beside) for _ in range(2)]
     patch.undo()
 
 
-def test_a_search_reports_how_far_it_is(found, told) -> None:
-    shares = [one.done for one in told]
+def test_a_search_reports_how_far_it_is(found, reports) -> None:
+    shares = [one.done for one in reports]
     assert shares[0] == 1.0
     assert all(1.0 < share <= 2.0 for share in shares[1:])
-    assert all(np.isfinite(one.best_cost) for one in told[1:])
+    assert all(np.isfinite(one.best_cost) for one in reports[1:])
 
 
 def test_noises_are_found_within_their_bounds_and_the_same_again(found) -> None:

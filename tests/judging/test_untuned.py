@@ -1,4 +1,4 @@
-"""The untuned Kalman filter beside a tuned one."""
+"""The untuned Kalman filter compared with a tuned one."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_the_spread_of_biases_is_what_the_family_draws() -> None:
     assert bias_spread(scaled).angular == pytest.approx(5 / np.sqrt(3) * np.sqrt(3))
 
 
-def test_it_stands_in_a_result_from_the_first_tune_on_with_the_clairvoyant() -> None:
+def test_it_is_in_a_result_from_the_first_tune_on_with_the_clairvoyant() -> None:
     result = posegsa.tune(tiny())
     assert result.on_scenarios is not None
     judged = result.on_scenarios.evaluation

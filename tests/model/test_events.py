@@ -1,4 +1,4 @@
-"""What goes on in a scenario, against its measurements and its true motion."""
+"""The events of a scenario, compared with its measurements and its true motion."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ EVERYTHING = (
 
 @pytest.fixture(scope="module")
 def drawn():
-    """A scenario of disturbed sensors with many events, and what goes on in it."""
+    """A scenario of disturbed sensors with many events, and the list of events."""
     with jax.enable_x64(True):
         experiment = config.override(config.load(find("disturbed")), EVERYTHING)
         one = jax.jit(draw_scenario)(
@@ -58,16 +58,16 @@ def test_bursts_are_where_the_measurements_are_disturbed(drawn) -> None:
         bursts = getattr(events, f"{name}_bursts")
         np.testing.assert_array_equal(np.abs(off).max(axis=-1) > 1e-9, bursts)
         assert 0.05 < bursts.mean() < 0.6
-    weighed = jax.tree.map(np.asarray, events.weighed(disturbed))
+    weighted = jax.tree.map(np.asarray, events.weighted(disturbed))
     for name in ("vector", "landmark"):
-        weights, noise = getattr(weighed, f"{name}_weights"), getattr(events, f"{name}_noise")
+        weights, noise = getattr(weighted, f"{name}_weights"), getattr(events, f"{name}_noise")
         seen = np.asarray(getattr(disturbed, f"{name}_weights")) > 0
         used = seen & ~getattr(events, f"{name}_bursts")
         np.testing.assert_allclose(weights, np.where(used, noise**-2, 0), rtol=1e-12)
         assert not seen.all()
 
 
-def test_noise_has_the_deviation_that_is_told(drawn) -> None:
+def test_noise_has_the_deviation_that_events_state(drawn) -> None:
     one, events = drawn
     silent = replace(
         one,
@@ -81,18 +81,18 @@ def test_noise_has_the_deviation_that_is_told(drawn) -> None:
     noisy, quiet = (
         jax.jit(measure)(s, truth, jax.random.key(0)).measurements for s in (one, silent)
     )
-    for sensor, told in {
+    for sensor, stated in {
         "angular_velocity": events.angular_noise[:, None],
         "velocity": events.linear_noise[:, None],
         "vectors": events.vector_noise[:, :, None],
         "landmarks": events.landmark_noise[:, :, None],
     }.items():
-        z = (np.asarray(getattr(noisy, sensor)) - np.asarray(getattr(quiet, sensor))) / told
+        z = (np.asarray(getattr(noisy, sensor)) - np.asarray(getattr(quiet, sensor))) / stated
         # Of unit variance at each level of the noise.
-        for level in np.unique(told):
-            some = z[np.broadcast_to(told == level, z.shape)]
+        for level in np.unique(stated):
+            some = z[np.broadcast_to(stated == level, z.shape)]
             assert np.mean(some**2) == pytest.approx(1, abs=6 * np.sqrt(2 / some.size)), sensor
-        assert len(np.unique(told)) > 2
+        assert len(np.unique(stated)) > 2
 
 
 def test_jumps_are_what_the_velocities_do_not_explain(drawn) -> None:

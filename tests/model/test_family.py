@@ -111,7 +111,7 @@ def initial_angles(scenarios) -> np.ndarray:
     return np.degrees(rotation_angle(attitude_distance(q_est, q)))
 
 
-def test_where_nothing_varies_a_scenario_is_what_it_was(base):
+def test_without_variation_a_scenario_is_unchanged(base):
     one = one_drawn(base, varied(), jax.random.key(4))
     for before, after in zip(jax.tree.leaves(base), jax.tree.leaves(one), strict=True):
         np.testing.assert_array_equal(before, after)
@@ -191,7 +191,7 @@ def test_varying_one_thing_does_not_change_what_is_drawn_of_another(base):
     biases = {"angular_velocity_bias", "velocity_bias"}
     assert set(FamilyConfig.model_fields) - set(EVERYTHING) == {"rest_share"} | biases
     chosen = {name: varied(**{name: EVERYTHING[name]}) for name in CHANGED}
-    # Outages alone have as many windows as beside these bursts; the draws depend on that.
+    # Outages alone have as many windows as together with these bursts; the draws depend on that.
     assert chosen["outages"].outages.most == varied(**EVERYTHING).outages.most
     draws = jax.jit(
         lambda families, key: {n: draw_scenario(base, f, key) for n, f in families.items()}
@@ -216,7 +216,7 @@ def test_varying_one_thing_does_not_change_what_is_drawn_of_another(base):
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-def test_after_its_end_a_scenario_counts_no_more() -> None:
+def test_after_its_end_a_scenario_no_longer_counts() -> None:
     short = tiny("family.duration=[1.6, 1.9]")
     candidate = Candidate(ConstantGain(jnp.float32(9.0)))
     problem = tuning_problem(short)
@@ -392,7 +392,7 @@ def test_disturbed_sensors_show_a_pose_at_once_and_sparse_ones_wait_for_it():
             assert (np.asarray(vector.factor)[rows, at] > 0).all()
 
 
-def test_a_start_that_nothing_fixes_is_told():
+def test_a_start_that_no_sample_determines_is_warned_of():
     never = ["scenario.start=sensors", "scenario.vectors.1.begin=1000.0"]
     experiment = config.override(config.override(SHORT, never), ["run.training_scenarios=2"])
     with pytest.warns(PosegsaWarning, match=r"scenario\.start = 'sensors': in \d+ of \d+ .*fixes"):

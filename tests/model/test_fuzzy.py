@@ -265,7 +265,7 @@ def test_changing_an_option_of_a_controller_checks_it_again() -> None:
         dataclasses.replace(controller, centroid="exact")
 
 
-def test_what_is_not_a_number_makes_a_gain_that_is_none() -> None:
+def test_nan_input_gives_a_nan_gain() -> None:
     controller = fuzzy(INPUTS, OUTPUTS, "float32")
     assert np.isnan(controller(np.nan, 0.1))
     assert np.isnan(controller(error=0.1, rate=np.nan, last=3.0))

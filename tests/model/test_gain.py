@@ -82,7 +82,7 @@ def nothing_yet(gain: float) -> SignalMemory:
     return initial_memory(ConstantGain(jnp.asarray(gain)), jnp.asarray(0.0))
 
 
-def told(
+def schedule_input(
     errors: list[tuple[float | None, float | None]], field: str, step: float = 0.01, **changes: Any
 ) -> np.ndarray:
     """The input `field` of a schedule at each sample, from attitude and position errors."""
@@ -201,30 +201,32 @@ ERRORS: list[tuple[float | None, float | None]] = [
 
 
 def test_the_error_is_scaled_then_clipped() -> None:
-    np.testing.assert_allclose(told(ERRORS, "error"), [1, 1, 0.8, 0.3, 0.3, 0.3], rtol=1e-6)
-    scaled = told(ERRORS, "error", error_scale=2.0)
+    np.testing.assert_allclose(
+        schedule_input(ERRORS, "error"), [1, 1, 0.8, 0.3, 0.3, 0.3], rtol=1e-6
+    )
+    scaled = schedule_input(ERRORS, "error", error_scale=2.0)
     np.testing.assert_allclose(scaled, [1, 1, 0.4, 0.15, 0.15, 0.15], rtol=1e-6)
-    weighted = told(ERRORS, "error", position_weight=0.0)
+    weighted = schedule_input(ERRORS, "error", position_weight=0.0)
     np.testing.assert_allclose(weighted, [0.5, 0.4, 0.4, 0.1, 0.1, 0.3], rtol=1e-6)
 
 
 def test_the_rate_is_that_of_the_signal_before_scaling_and_clipping() -> None:
     rate = [0, 0.5, 1, 0.5, 0, 0]  # 2.5 to 2.0 counts, though both are clipped; 1.2 is clipped
-    np.testing.assert_allclose(told(ERRORS, "rate"), rate, atol=1e-6)
-    np.testing.assert_allclose(told(ERRORS, "rate", error_scale=5.0), rate, atol=1e-6)
-    halved = told(ERRORS, "rate", rate_scale=0.5)
+    np.testing.assert_allclose(schedule_input(ERRORS, "rate"), rate, atol=1e-6)
+    np.testing.assert_allclose(schedule_input(ERRORS, "rate", error_scale=5.0), rate, atol=1e-6)
+    halved = schedule_input(ERRORS, "rate", rate_scale=0.5)
     np.testing.assert_allclose(halved, [0, 0.25, 0.6, 0.25, 0, 0], atol=1e-6)
-    np.testing.assert_array_equal(told(ERRORS, "rate", rate_scale=0.0), 0)
+    np.testing.assert_array_equal(schedule_input(ERRORS, "rate", rate_scale=0.0), 0)
 
 
 def test_the_rate_is_zero_at_the_first_sample_only() -> None:
     # Also after a signal of 0, which does not mean "no sample yet".
-    assert told([(0.0, 0.0), (0.25, 0.0)], "rate").tolist() == [0, 0.25]
-    assert told([(0.9, 0.0)], "rate").tolist() == [0]
+    assert schedule_input([(0.0, 0.0), (0.25, 0.0)], "rate").tolist() == [0, 0.25]
+    assert schedule_input([(0.9, 0.0)], "rate").tolist() == [0]
 
 
-def test_a_schedule_is_told_the_time_and_its_own_last_gain() -> None:
-    np.testing.assert_allclose(told(ERRORS[:3], "time"), [0, 0.01, 0.02], rtol=1e-6)
+def test_a_schedule_gets_the_time_and_its_own_last_gain() -> None:
+    np.testing.assert_allclose(schedule_input(ERRORS[:3], "time"), [0, 0.01, 0.02], rtol=1e-6)
     memory = nothing_yet(12.5)
     gain, after = listen(Listener("last"), memory, (0.5, 0.0), 0.0)
     assert gain == after.gain == 12.5
@@ -232,12 +234,12 @@ def test_a_schedule_is_told_the_time_and_its_own_last_gain() -> None:
 
 
 def test_the_rate_per_second_is_over_the_time_since_the_last_sample() -> None:
-    halved = told(ERRORS, "rate", step=0.5, rate="per_second", rate_scale=0.25)
+    halved = schedule_input(ERRORS, "rate", step=0.5, rate="per_second", rate_scale=0.25)
     np.testing.assert_allclose(halved, [0, 0.25, 0.6, 0.25, 0, 0], atol=1e-6)
     # The same signal sampled twice as often changes half as much, in half the time.
     slow, fast = ([(0.1 * k / n, 0.0) for k in range(4 * n)] for n in (1, 2))
-    slow = told(slow, "rate", step=0.02, rate="per_second", rate_scale=0.1)
-    fast = told(fast, "rate", step=0.01, rate="per_second", rate_scale=0.1)
+    slow = schedule_input(slow, "rate", step=0.02, rate="per_second", rate_scale=0.1)
+    fast = schedule_input(fast, "rate", step=0.01, rate="per_second", rate_scale=0.1)
     np.testing.assert_allclose(slow[1:], 0.5, rtol=1e-5)
     np.testing.assert_allclose(fast[1:], 0.5, rtol=1e-5)
     assert slow[0] == fast[0] == 0
@@ -246,14 +248,16 @@ def test_the_rate_per_second_is_over_the_time_since_the_last_sample() -> None:
 def test_a_part_that_is_not_measured_keeps_its_last_value() -> None:
     errors = [(None, None), (0.4, None), (None, 1.0), (0.2, None), (None, None), (None, 2.0)]
     want = [0, 0.4, 0.6, 0.4, 0.4, 0.6]
-    np.testing.assert_allclose(told(errors, "error"), want, rtol=1e-6)
-    np.testing.assert_allclose(told(errors, "rate"), [0, 0.4, 0.2, 0.2, 0, 0.2], atol=1e-6)
+    np.testing.assert_allclose(schedule_input(errors, "error"), want, rtol=1e-6)
+    np.testing.assert_allclose(
+        schedule_input(errors, "rate"), [0, 0.4, 0.2, 0.2, 0, 0.2], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.5])
 def test_a_steady_error_of_a_landmark_in_one_sample_of_ten_is_seen_whole(smoothing: float) -> None:
-    always = told([(0.0, 2.0)] * 40, "error", smoothing=smoothing)
-    seldom = told(
+    always = schedule_input([(0.0, 2.0)] * 40, "error", smoothing=smoothing)
+    seldom = schedule_input(
         [(0.0, 2.0 if k % 10 == 0 else None) for k in range(40)], "error", smoothing=smoothing
     )
     np.testing.assert_allclose(always, 0.4, rtol=1e-6)
@@ -265,10 +269,10 @@ def test_smoothing_is_a_low_pass_filter_before_all_else() -> None:
     # the difference at each sample. Without scaling the rate is the smoothed signal's change.
     signal = [(0.8, 0.0), (0.0, 0.0), (0.0, 0.0), (0.8, 0.0)]
     smoothed = [0.8, 0.6, 0.45, 0.5375]
-    np.testing.assert_allclose(told(signal, "error", smoothing=0.03), smoothed, rtol=1e-6)
+    np.testing.assert_allclose(schedule_input(signal, "error", smoothing=0.03), smoothed, rtol=1e-6)
     rate = [0, 0.2, 0.15, 0.0875]
-    np.testing.assert_allclose(told(signal, "rate", smoothing=0.03), rate, atol=1e-6)
-    np.testing.assert_array_equal(told(signal, "error"), np.float32([0.8, 0, 0, 0.8]))
+    np.testing.assert_allclose(schedule_input(signal, "rate", smoothing=0.03), rate, atol=1e-6)
+    np.testing.assert_array_equal(schedule_input(signal, "error"), np.float32([0.8, 0, 0, 0.8]))
 
 
 def test_smoothing_goes_by_the_time_since_the_last_sample() -> None:
@@ -280,7 +284,7 @@ def test_smoothing_goes_by_the_time_since_the_last_sample() -> None:
     np.testing.assert_allclose(heard, [0.8, 0.8 * 0.75, 0.8 * 0.75 * 0.5], rtol=1e-6)
 
 
-def test_what_is_unknown_falls_by_what_is_measured_and_not_by_time() -> None:
+def test_the_unknown_share_falls_by_measurements_and_not_by_time() -> None:
     made = signal_settings(GainConfig(unknown=0.5, unknown_fall=0.1), jnp.float32)
     memory = initial_memory(ConstantGain(jnp.asarray(0.0)), jnp.asarray(0.0), made.unknown)
     zero = jnp.asarray(0.0)
@@ -297,7 +301,7 @@ def test_what_is_unknown_falls_by_what_is_measured_and_not_by_time() -> None:
         np.testing.assert_allclose(after.unknown, want, rtol=1e-6)
 
 
-def test_the_error_is_at_least_what_is_unknown_which_rises_with_it() -> None:
+def test_the_error_is_at_least_the_unknown_share_which_rises_with_it() -> None:
     changes = {"unknown": 0.4, "unknown_rise": 0.75, "error_scale": 2.0, "rate_scale": 0.0}
     made = signal_settings(GainConfig(**PAPER.gain.model_dump() | changes), jnp.float32)
     memory = initial_memory(ConstantGain(jnp.asarray(0.0)), jnp.asarray(0.0), made.unknown)

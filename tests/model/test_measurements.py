@@ -65,7 +65,7 @@ def test_what_no_sensor_measures_is_refused_as_by_a_stream(name, place, value) -
         Measurements.from_arrays(**given)
     weight = np.ones((N, VECTORS if "vector" in name else LANDMARKS))
     weight[place[0]] = 0
-    if name in ("vectors", "landmarks"):  # what is not used may be anything
+    if name in ("vectors", "landmarks"):  # unused values may be anything
         Measurements.from_arrays(**given, **{f"{name[:-1]}_weights": weight})
 
 
@@ -148,7 +148,7 @@ def test_what_is_masked_is_missing() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_anything_may_stand_where_the_weight_is_zero(value) -> None:
+def test_any_value_is_allowed_where_the_weight_is_zero(value) -> None:
     weights = np.ones((N, VECTORS))
     weights[2, 1] = 0
     given = array_with("vectors", (2, 1, 0), value)
@@ -418,7 +418,7 @@ def test_prepare_in_float32_with_64_bits_allowed_stays_in_float32() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_measurements_below_the_filters_precision_are_told_by_field_and_dtypes() -> None:
+def test_measurements_below_the_filters_precision_are_reported_by_field_and_dtypes() -> None:
     m = Measurements.from_arrays(**arrays(), dtype=np.float64)
     assert all(a is b for a, b in zip(m.at_least(np.dtype("float64")), m, strict=True))
     mixed = m._replace(velocity=m.velocity.astype(np.float32))

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -92,7 +92,7 @@ def test_arrays_that_make_no_sense_are_refused(arguments: tuple[object, ...], me
     st.integers(0, 2**32 - 1),
     st.floats(1e-3, 1e3),
 )
-def test_the_rank_decides_wherever_the_frame_stands(
+def test_the_rank_decides_for_any_frame(
     n: int, m: int, dimensions: int, seed: int, scale: float
 ) -> None:
     """Directions and landmarks in a line, plane or space, moved, turned and scaled at random."""
@@ -117,4 +117,4 @@ def test_two_vectors_fix_the_attitude() -> None:
         ([UP, (0.0, 0.0, -3.0)], None, "2 collinear vectors"),
         ([UP, EAST], [1.0, 0.0], "1 vector"),
     ):
-        assert_told(why_attitude_unobservable(directions, weights), found, "two non-collinear")
+        assert_states(why_attitude_unobservable(directions, weights), found, "two non-collinear")

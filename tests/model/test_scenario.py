@@ -316,7 +316,7 @@ def test_same_key_gives_the_same_and_another_key_other_measurements() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_at_rest_the_body_stands_still_and_moves_on_afterwards() -> None:
+def test_at_rest_the_body_does_not_move_and_afterwards_it_does() -> None:
     given = {"duration": 0.5, **START}
     moving = jitted_integrate(scenario(experiment(**given)))
     rests = jitted_integrate(scenario(experiment(**given, rest=((0.0, 0.095), (0.295, 0.395)))))
@@ -500,7 +500,7 @@ def test_the_papers_initial_attitude_estimate_is_projected_in_silence() -> None:
     np.testing.assert_allclose(s.rotation_estimate, U @ Vt, atol=1e-7)
 
 
-def test_another_that_is_no_rotation_is_projected_with_a_warning() -> None:
+def test_another_estimate_that_is_not_a_rotation_is_projected_with_a_warning() -> None:
     rounded = ((-0.83, 0.29, 0.34), (0.4, 0.16, 0.9), (0.21, 0.94, -0.26))
     e = experiment("float32", duration=0.05, initial_rotation_estimate=rounded)
     with pytest.warns(PosegsaWarning, match=r"initial_rotation_estimate.*determinant 0\.9"):
@@ -510,7 +510,7 @@ def test_another_that_is_no_rotation_is_projected_with_a_warning() -> None:
     np.testing.assert_allclose(s.rotation_estimate, U @ Vt, atol=1e-7)
 
 
-def test_a_rotation_as_initial_estimate_is_taken_as_it_is_without_a_warning() -> None:
+def test_a_rotation_as_initial_estimate_is_used_unchanged_without_a_warning() -> None:
     R = Rotation.from_rotvec([0.1, 0.2, 3.0]).as_matrix()
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -282,7 +282,7 @@ def test_no_rotation_is_nearer_to_the_papers_matrix_than_its_projection() -> Non
     [np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0]), np.diag([1.0, 1.0, -1.0]), -np.eye(3)],
     ids=["zero", "singular", "reflection", "inversion"],
 )
-def test_project_rotation_refuses_what_no_rotation_is_near(matrix) -> None:
+def test_project_rotation_refuses_a_matrix_far_from_any_rotation(matrix) -> None:
     with pytest.raises(ValueError, match=r"no rotation.*determinant"):
         se3.project_rotation(matrix)
 

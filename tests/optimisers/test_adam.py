@@ -76,7 +76,7 @@ def test_it_finds_a_minimum_on_the_face_of_the_box() -> None:
     assert DESCENT.evaluations == 40 * 3 * 23
 
 
-def test_gradients_that_are_not_finite_are_counted_and_told_as_zero() -> None:
+def test_gradients_that_are_not_finite_are_counted_and_reported_as_zero() -> None:
     search = start(DESCENT, TARGET, random.key(2))
     bad = np.array([[1, np.nan], [np.inf, 1], [1, 2]])
     after = learn(DESCENT, TARGET, search, np.array([1.0, 2.0, np.nan]), bad)

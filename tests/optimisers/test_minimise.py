@@ -115,8 +115,8 @@ def test_several_keys_give_what_each_gives_alone(whole: Search) -> None:
 def test_until_works_inside_ones_own_jit(whole: Search) -> None:
     @jax.jit
     def run(target: Array) -> Search:
-        begun = start(SWARM, TARGET, KEY)
-        return advance(SWARM, steered, TARGET, begun, 40, Until(target=target))
+        started = start(SWARM, TARGET, KEY)
+        return advance(SWARM, steered, TARGET, started, 40, Until(target=target))
 
     target = whole.history.best[12]
     assert run(target).iteration == first(np.asarray(whole.history.best) <= target)
@@ -136,7 +136,7 @@ def test_an_ordinary_function_is_minimised_on_the_host(whole: Search) -> None:
     np.testing.assert_allclose(search.history.best[:done], whole.history.best[:done], rtol=1e-3)
 
 
-def test_ask_and_tell_are_the_loop_taken_apart(whole: Search) -> None:
+def test_ask_and_tell_are_the_parts_of_the_loop(whole: Search) -> None:
     search, learn = start(SWARM, TARGET, KEY), jax.jit(tell, static_argnums=0)
     for _ in range(3):
         positions = np.asarray(ask(SWARM, TARGET, search))
@@ -192,7 +192,7 @@ def test_a_polish_on_the_host_needs_gradients_once_it_descends() -> None:
             chunk=1,
             callback=lambda s: seen.append(int(s.iteration)),
         )
-    assert seen == [1, 2, 3, 4], "the search itself wants none"
+    assert seen == [1, 2, 3, 4], "the search itself needs none"
 
 
 @pytest.mark.parametrize("costs", [np.zeros((6, 1)), [[1], [2, 3]], "text", None])

@@ -207,7 +207,7 @@ def test_iterations_without_a_finite_cost() -> None:
     nothing = [np.nan, np.inf, -np.inf, np.nan, np.nan]
     search = fixed_search(nothing)
     assert jnp.all(search.state.told > 1e15)
-    assert jnp.isfinite(jnp.sum(search.state.told**2)), "what is calculated with it stays finite"
+    assert jnp.isfinite(jnp.sum(search.state.told**2)), "values calculated from it stay finite"
     assert search.best_cost == jnp.inf
     assert search.best_position.tolist() == [2]
     assert search.history.best[0] == jnp.inf
@@ -222,7 +222,7 @@ def test_iterations_without_a_finite_cost() -> None:
 
 
 @pytest.mark.parametrize("optimiser", OPTIMISERS)
-def test_a_population_without_a_finite_cost_goes_on(optimiser: Optimiser) -> None:
+def test_a_population_without_a_finite_cost_continues(optimiser: Optimiser) -> None:
     search = minimise(steered, box([0, 0, 2e6], [1, 1, 2e6]), optimiser, jax.random.key(7))
     assert search.non_finite == AGENTS * ITERATIONS
     assert search.history.non_finite.tolist() == [AGENTS] * ITERATIONS

@@ -69,7 +69,7 @@ def test_pycma_keeps_its_state_and_numpys_generator() -> None:
     assert ((optimiser.ask(state) >= 0) & (optimiser.ask(state) <= 1)).all()
 
 
-def test_a_search_by_pycma_goes_on_in_the_process_that_began_it() -> None:
+def test_a_search_by_pycma_continues_in_the_process_that_started_it() -> None:
     optimiser, seen = PyCMA(agents=6, iterations=5), []
     whole = minimise(FUNCTION, FUNCTION.box, optimiser, KEY, chunk=2, callback=seen.append)
     again = minimise(FUNCTION, FUNCTION.box, optimiser, KEY, search=seen[0])
@@ -91,15 +91,15 @@ def test_tune_by_pycma_writes_a_folder_without_checkpoints(
     by_pycma = tiny("search.optimiser=pycma")
     with pytest.warns(PosegsaWarning) as said:
         result = posegsa.tune(by_pycma, out=tmp_path)
-    told = [str(w.message) for w in said if "search.optimiser" in str(w.message)]
-    assert len(told) == 1
-    assert "'pycma'" in told[0]
-    assert "can't be resumed" in told[0]
+    messages = [str(w.message) for w in said if "search.optimiser" in str(w.message)]
+    assert len(messages) == 1
+    assert "'pycma'" in messages[0]
+    assert "can't be resumed" in messages[0]
     assert np.isfinite(result.best_cost)
     assert posegsa.load(tmp_path).best_cost == result.best_cost
     assert not (tmp_path / "checkpoints").exists()
     with pytest.raises(
-        CheckpointError, match=r"no checkpoint to go on from; .*state can.t be saved"
+        CheckpointError, match=r"no checkpoint to resume from; .*state can.t be saved"
     ):
         posegsa.tune(by_pycma, resume=tmp_path)
 

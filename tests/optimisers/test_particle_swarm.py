@@ -105,14 +105,14 @@ def _evosax(swarm: ParticleSwarm, space: Box, key: Array) -> Array:
     )
     key_first, key = random.split(key)
     x = random.uniform(key_first, (swarm.agents, len(space.lower)), None, space.lower, space.upper)
-    begun = jax.tree.map(jnp.asarray, strategy.init(key, x, _sphere(x), params))
+    initialised = jax.tree.map(jnp.asarray, strategy.init(key, x, _sphere(x), params))
 
     def step(state, key):
         x, state = strategy.ask(key, state, params)
         state, _ = strategy.tell(key, x, _sphere(x), state, params)
-        return jax.tree.map(lambda a, like: a.astype(like.dtype), state, begun), None
+        return jax.tree.map(lambda a, like: a.astype(like.dtype), state, initialised), None
 
-    end, _ = jax.lax.scan(step, begun, random.split(key, swarm.iterations - 1))
+    end, _ = jax.lax.scan(step, initialised, random.split(key, swarm.iterations - 1))
     return end.best_fitness
 
 

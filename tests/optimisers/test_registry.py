@@ -128,7 +128,7 @@ def test_another_optimiser_keeps_the_size_or_the_budget_of_the_one_before() -> N
         (["gsa.g0=2.0"], r"gsa\s+unknown key; did you mean search.g0\?"),
     ],
 )
-def test_what_no_optimiser_can_be_is_refused_by_its_key(settings: Any, message: str) -> None:
+def test_an_impossible_optimiser_is_refused_by_its_key(settings: Any, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         config.override(config.Experiment(), settings)
 
@@ -154,7 +154,7 @@ def test_a_search_that_is_no_table_is_refused(search: Any) -> None:
         ),
     ],
 )
-def test_a_search_is_told_in_words(search: Optimiser, words: str) -> None:
+def test_a_search_is_described(search: Optimiser, words: str) -> None:
     assert search.size_in_words() == words
 
 
@@ -197,39 +197,39 @@ def test_a_text_that_means_nothing_is_refused(text: str, evaluations: int, messa
 
 @pytest.mark.parametrize("name", [n for n in OPTIMISERS if "adam" not in n])
 def test_a_search_may_be_given_more_iterations_and_nothing_else(name: str) -> None:
-    begun = OPTIMISERS[name](iterations=8)
-    longer = begun.resumed(begun.changed(iterations=20))
+    earlier = OPTIMISERS[name](iterations=8)
+    longer = earlier.resumed(earlier.changed(iterations=20))
     assert longer.iterations == 20
-    assert longer.resumed(begun.changed(iterations=30)).iterations == 30
-    assert begun.resumed(begun) == begun
+    assert longer.resumed(earlier.changed(iterations=30)).iterations == 30
+    assert earlier.resumed(earlier) == earlier
     with pytest.raises(Refused, match=r"iterations = 7\s+the run has 8; allowed: as many or more"):
-        begun.resumed(begun.changed(iterations=7))
+        earlier.resumed(earlier.changed(iterations=7))
     with pytest.raises(Refused, match=r"agents = 9\s+the run has 100; allowed: the same"):
-        begun.resumed(begun.changed(agents=9))
+        earlier.resumed(earlier.changed(agents=9))
     with pytest.raises(Refused, match=rf'optimiser = "adam"\s+the run has {name}'):
-        begun.resumed(Adam(iterations=8))
+        earlier.resumed(Adam(iterations=8))
 
 
-@pytest.mark.parametrize("begun", [Adam(iterations=8), PolishedGSA(iterations=80)])
-def test_a_descent_ends_with_its_iterations(begun: Optimiser) -> None:
-    assert begun.resumed(begun) == begun
-    for iterations in (begun.iterations - 1, begun.iterations + 1):
+@pytest.mark.parametrize("earlier", [Adam(iterations=8), PolishedGSA(iterations=80)])
+def test_a_descent_ends_with_its_iterations(earlier: Optimiser) -> None:
+    assert earlier.resumed(earlier) == earlier
+    for iterations in (earlier.iterations - 1, earlier.iterations + 1):
         with pytest.raises(Refused, match="the same, as Adam's steps shrink towards the end"):
-            begun.resumed(begun.changed(iterations=iterations))
+            earlier.resumed(earlier.changed(iterations=iterations))
 
 
 def test_gravity_holds_its_last_values_past_the_iterations_it_began_with() -> None:
-    begun = GSA(iterations=8)
-    longer = begun.resumed(GSA(iterations=20))
+    earlier = GSA(iterations=8)
+    longer = earlier.resumed(GSA(iterations=20))
     assert longer == GSA(iterations=20, decay_iterations=8)
     assert longer.resumed(GSA(iterations=30)) == GSA(iterations=30, decay_iterations=8)
-    np.testing.assert_array_equal(longer.schedule()[0][:8], begun.schedule()[0])
-    assert (longer.schedule()[0][8:] == begun.schedule()[0][-1]).all()
+    np.testing.assert_array_equal(longer.schedule()[0][:8], earlier.schedule()[0])
+    assert (longer.schedule()[0][8:] == earlier.schedule()[0][-1]).all()
     with pytest.raises(Refused, match=r"decay_iterations = 5\s+the run has all"):
-        begun.resumed(GSA(iterations=8, decay_iterations=5))
+        earlier.resumed(GSA(iterations=8, decay_iterations=5))
 
 
-def test_an_optimiser_that_follows_none_can_not_be_told_where_to_begin() -> None:
+def test_an_optimiser_that_follows_none_accepts_no_start() -> None:
     state = start(GSA(agents=3), box([0], [1]), KEY).state
     with pytest.raises(NotImplementedError, match="GSA can't begin"):
         GSA(agents=3).begin_at(state, jax.numpy.zeros(1))

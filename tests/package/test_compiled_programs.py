@@ -58,7 +58,7 @@ def test_a_second_process_compiles_nothing(tmp_path):
     assert again[-1] == first[-1]
 
 
-def test_a_damaged_program_is_compiled_anew(tmp_path):
+def test_a_damaged_program_is_compiled_again(tmp_path):
     first = said(XDG_CACHE_HOME=str(tmp_path))
     for path in (tmp_path / "posegsa").iterdir():
         path.write_bytes(path.read_bytes()[:50])
@@ -76,7 +76,7 @@ def test_a_home_that_can_not_be_used_is_one_line(tmp_path, home):
     assert "XDG_CACHE_HOME" in note
 
 
-def test_the_command_line_says_one_line_of_a_home_that_can_not_be_used(tmp_path):
+def test_the_command_line_prints_one_line_about_an_unusable_home(tmp_path):
     (tmp_path / "home").touch()
     chosen = ("JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR")
     inherited = {k: v for k, v in os.environ.items() if k not in chosen}
@@ -96,7 +96,7 @@ def test_the_command_line_says_one_line_of_a_home_that_can_not_be_used(tmp_path)
     assert "holds no finished run" in refusal
 
 
-def test_none_is_kept_where_jax_is_told_so(tmp_path):
+def test_none_is_kept_if_jax_is_configured_so(tmp_path):
     environment = {"XDG_CACHE_HOME": str(tmp_path), "JAX_ENABLE_COMPILATION_CACHE": "false"}
     said(**environment)
     assert not any(tmp_path.iterdir())

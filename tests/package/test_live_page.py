@@ -54,7 +54,7 @@ def test_it_is_built_from_its_sources(build):
 
 def test_it_is_small_and_needs_no_network():
     assert len(PAGE.encode()) < 1_000_000
-    # With this the browser loads nothing, whatever the scripts ask for.
+    # With this the browser loads nothing, even if scripts ask for it.
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', PAGE)
     assert policy is not None
     assert policy[1].startswith("default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'")

@@ -88,9 +88,9 @@ def test_no_colour_and_on_a_dumb_terminal_no_way_back(terminal, monkeypatch):
 
 
 def test_nothing_is_shown_before_a_step_begins_nor_of_what_is_refused_as_it_begins():
-    def refuse(*begun: str) -> None:
+    def refuse(*step_names: str) -> None:
         with Display(stream=stream):
-            for name in begun:
+            for name in step_names:
                 steps.begin(name)
             raise ValueError("refused")
 
@@ -103,7 +103,7 @@ def test_nothing_is_shown_before_a_step_begins_nor_of_what_is_refused_as_it_begi
     assert lines(stream) == [""]
 
 
-def test_what_stops_says_so():
+def test_what_stops_is_reported():
     def stop() -> None:
         with Display(stream=stream, clock=Clock()) as show:
             show.show(Step("searching", 3, 4, best_cost=2.0))
@@ -146,7 +146,7 @@ def test_a_long_search_says_once_after_its_first_iteration_how_long_it_takes():
     assert stream.getvalue().count("the search takes about 3 min; then seconds to judge\n") == 1
 
 
-def test_of_a_short_search_it_is_not_said_beforehand():
+def test_a_short_search_is_not_announced():
     stream, clock = io.StringIO(), Clock()
     with Display(after_search="then seconds to judge", stream=stream, clock=clock):
         for done in range(3):
@@ -155,7 +155,7 @@ def test_of_a_short_search_it_is_not_said_beforehand():
     assert "the search takes" not in stream.getvalue()
 
 
-def test_a_cost_is_shown_once_there_is_one():
+def test_a_cost_is_shown_as_soon_as_it_exists():
     stream, clock = Terminal(), Clock()
     with Display(stream=stream, clock=clock):
         steps.tell(Step("sweeping", 2, 6, best_cost=math.inf))
@@ -187,7 +187,7 @@ def test_the_cost_of_a_part_is_shown_beside_its_name_and_not_as_that_of_all():
         (9e3, "2.5 h"),
     ],
 )
-def test_times_are_said_as_people_say_them(seconds, words):
+def test_times_are_written_as_people_say_them(seconds, words):
     assert span(seconds) == words
 
 
@@ -207,8 +207,8 @@ def test_a_job_without_a_listener_shows_its_steps_in_a_notebook_alone(monkeypatc
 
 def test_a_listener_in_a_notebook_takes_the_place_of_what_is_shown(monkeypatch, capsys):
     notebook(monkeypatch, "ZMQInteractiveShell")
-    told = []
-    with progress.shown(told.append), progress.shown(None):
+    reports = []
+    with progress.shown(reports.append), progress.shown(None):
         steps.begin("judging")
-    assert [step.name for step in told] == ["judging"]
+    assert [step.name for step in reports] == ["judging"]
     assert capsys.readouterr().err == ""

@@ -1,4 +1,4 @@
-"""docs/recordings.md: what it runs runs; the tables of the results are those of the benchmark."""
+"""docs/recordings.md: its commands run; the tables of the results are those of the benchmark."""
 
 import ast
 import json
@@ -29,8 +29,8 @@ def test_the_ten_lines_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     exec(text, found := {})  # the page's own text
     rmse = posegsa.recording_errors(found["replayed"].estimates, found["flight"]).rmse()["judged"]
-    told = f"errors of {rmse.total:.2f}° and {100 * rmse.position:.1f} cm"
-    assert told in TEXT
+    stated = f"errors of {rmse.total:.2f}° and {100 * rmse.position:.1f} cm"
+    assert stated in TEXT
     assert "0.4383711" in found["header"]  # a reference of the flight
 
 

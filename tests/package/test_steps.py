@@ -8,25 +8,25 @@ from posegsa.steps import Step
 pytestmark = pytest.mark.quick
 
 
-def test_each_part_of_a_step_is_told_to_who_listens():
-    told: list[Step] = []
-    with steps.listening(told.append):
+def test_each_part_of_a_step_is_reported_to_the_listener():
+    reports: list[Step] = []
+    with steps.listening(reports.append):
         assert list(steps.each("judging", ["a", "b"], str.upper)) == ["a", "b"]
         steps.share(0.25)
-    assert told == [
+    assert reports == [
         Step("judging", 0, 2, "A"),
         Step("judging", 1, 2, "B"),
         Step("judging", 1.25, 2, "B"),
     ]
 
 
-def test_nobody_hears_what_comes_before_or_after():
-    told: list[Step] = []
+def test_nothing_before_or_after_is_reported():
+    reports: list[Step] = []
     steps.begin("before")
-    with steps.listening(told.append):
+    with steps.listening(reports.append):
         pass
     steps.begin("after")
-    assert told == []
+    assert reports == []
 
 
 def test_a_listener_within_another_hears_alone_and_none_leaves_the_other():

@@ -1,6 +1,6 @@
 """The tutorials of a recording and of a device, followed to the letter.
 
-What they say to save is saved, and what they say to type is run, in their order.
+The files that they say to save are saved, and their commands are run, in their order.
 """
 
 import re

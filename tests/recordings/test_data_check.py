@@ -1,4 +1,4 @@
-"""A look at a recording: every usual mistake is named, and nothing else."""
+"""Checks of a recording: every usual mistake is named, and nothing else."""
 
 import re
 from collections.abc import Callable
@@ -334,7 +334,7 @@ def test_raw_inertial_sensors_are_compared_too() -> None:
     assert "magnetometer: the sign of its y axis looks wrong" in words
 
 
-def test_a_body_that_hardly_moves_says_nothing() -> None:
+def test_a_body_that_hardly_moves_gives_no_finding() -> None:
     given = flown()
     still = {
         name: np.repeat(given[name][:1], COUNT, axis=0)
@@ -405,7 +405,7 @@ def test_without_a_truth_it_is_not_said_to_agree_with_it() -> None:
     assert "there is no truth to compare them with" in text
 
 
-def test_a_sensor_that_never_measured_is_told() -> None:
+def test_a_sensor_that_never_measured_is_reported() -> None:
     a = flown()
     landmarks = a["landmarks"].copy()
     landmarks[:, 1] = np.nan
@@ -414,7 +414,7 @@ def test_a_sensor_that_never_measured_is_told() -> None:
 
 
 def driven(shake: float = 0.0, wander: float = 1.0, count: int = 3000) -> Arguments:
-    """A flight with an accelerometer that feels all accelerations, and a mocap as its truth.
+    """A flight with an accelerometer that measures all accelerations; truth by motion capture.
 
     Its thrust is along z, so that a wrong sign of y hardly changes the whole.
     """
@@ -456,7 +456,7 @@ def driven(shake: float = 0.0, wander: float = 1.0, count: int = 3000) -> Argume
 def test_an_accelerometer_that_is_shaken_has_no_mistake(truth: bool) -> None:
     given = driven(shake=30.0)
     lengths = np.linalg.norm(given["vectors"][:, 0], axis=1)
-    assert np.median(lengths) > 2.5, "most of what it measures is no gravity"
+    assert np.median(lengths) > 2.5, "most of its measurement is not gravity"
     given |= {} if truth else {"truth_quaternion": None, "truth_position": None}
     assert check(Recording.from_arrays(**given)).findings == []
 
@@ -477,7 +477,7 @@ def test_a_shaken_accelerometer_without_a_position_has_gravity(shake: float) -> 
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_the_sign_of_an_axis_across_the_thrust_is_told(axis: int) -> None:
+def test_the_sign_of_an_axis_across_the_thrust_is_detected(axis: int) -> None:
     sign = np.where(np.arange(3) == axis, -1.0, 1.0)
     flipped = one_of(driven(), "vectors", 0, lambda b: b * sign)
     (words,) = check(Recording.from_arrays(**flipped)).findings

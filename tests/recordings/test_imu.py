@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import ENU_TO, RATE, inertial_motion
 
 import posegsa
@@ -40,8 +40,10 @@ def test_the_vectors_are_what_is_measured() -> None:
     np.testing.assert_array_equal(m.vectors[:650, 1], given["mag"][:650])
     missing = [np.flatnonzero(weights == 0).tolist() for weights in m.vector_weights.T]
     assert missing == [[500, 501, 502], [650, 651]]
-    told = recording.describe()
-    assert_told(told, "accelerometer", "3 of 900 samples missing", "2 of 900 samples missing")
+    described = recording.describe()
+    assert_states(
+        described, "accelerometer", "3 of 900 samples missing", "2 of 900 samples missing"
+    )
 
 
 def test_without_a_magnetometer_the_heading_is_free_and_that_is_said() -> None:
@@ -57,7 +59,7 @@ def test_without_a_magnetometer_the_heading_is_free_and_that_is_said() -> None:
         assert "free" in recording.sources["heading"]
 
 
-def test_a_recording_is_made_anew_from_its_sensors() -> None:
+def test_a_recording_is_made_again_from_its_sensors() -> None:
     given = inertial_motion(noise=1.0)
     first = posegsa.imu(**given, name="bench", phases={"late": np.arange(900) > 700})
     again = posegsa.as_imu(posegsa.as_imu(first, frame="NED"))
@@ -101,8 +103,8 @@ def test_a_gap_is_bridged_before_anything_is_made() -> None:
     [
         ({"frame": "END"}, r"frame = 'END'.*ENU, NED, NWU"),
         ({"rate": 0.0}, r"rate = 0.0.*allowed"),
-        ({"time": np.arange(900)}, r"rate, time:.*one of both"),
-        ({"rate": None}, r"rate, time:.*one of both"),
+        ({"time": np.arange(900)}, r"rate, time:.*one of the two"),
+        ({"rate": None}, r"rate, time:.*one of the two"),
         ({"acc": np.zeros((5, 3))}, "acc: must have"),
         ({"gyr": np.full((900, 3), np.nan)}, "gyr: 900 samples"),
         ({"mag": np.zeros((900, 3))}, "mag: all 900 samples are missing"),
@@ -146,5 +148,5 @@ def test_errors_name_the_arguments(changes: dict[str, Any], words: str) -> None:
 
 def test_it_is_shown_in_a_line() -> None:
     recording = posegsa.imu(np.zeros((50, 3)), np.tile([0.0, 0, 9.81], (50, 1)), rate=100.0)
-    assert_told(repr(recording), "ImuRecording", "50 samples", "0.5 s", "100 Hz", "2 vectors")
+    assert_states(repr(recording), "ImuRecording", "50 samples", "0.5 s", "100 Hz", "2 vectors")
     assert len(repr(recording)) < 200

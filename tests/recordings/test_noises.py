@@ -77,7 +77,7 @@ def test_the_allan_variance_of_white_noise_falls_with_tau() -> None:
     np.testing.assert_allclose(tau[:3], [STEP, 2 * STEP, 4 * STEP])
 
 
-def test_noise_that_lasts_counts_for_more_than_its_deviation() -> None:
+def test_correlated_noise_counts_for_more_than_its_deviation() -> None:
     rng = np.random.default_rng(1)
     white = 0.1 * rng.normal(size=(6000, 3))
     assert noise_of(white, STEP) == pytest.approx(0.1, rel=0.15)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import motion
 
 from posegsa.errors import PosegsaWarning, RecordingError
@@ -41,7 +41,7 @@ def test_where_there_is_no_outlier_none_is_found(noise: float, every: int) -> No
 
 
 @pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
-def test_an_outlier_is_found_wherever_it_stands() -> None:
+def test_an_outlier_is_found_in_any_place() -> None:
     given = noisy()
     wrong = [(3, 0), (120, 1), (250, 0), (250, 2), (251, 2), (399, 1)]
     for k, i in wrong:
@@ -66,13 +66,13 @@ def test_what_lasts_is_believed_after_one_sighting() -> None:
     assert passed_over(garbage) == [(k, 1) for k in range(100, 170)]
 
 
-def test_it_is_counted_and_told() -> None:
+def test_it_is_counted_and_reported() -> None:
     given = noisy()
     given["landmarks"][[120, 121], 1] += [[3.0, 0, 0], [0, 0, -4.0]]
     with pytest.warns(PosegsaWarning, match=r"2 sightings.*landmark 1"):
         recording = Recording.from_arrays(**given)
     (note,) = recording.notes
-    assert_told(note, "2 sightings", "7 times", "2 of landmark 1", "1.2 s")
+    assert_states(note, "2 sightings", "7 times", "2 of landmark 1", "1.2 s")
     assert note in recording.describe()
 
 

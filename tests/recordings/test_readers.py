@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
@@ -95,7 +95,7 @@ def test_vectors_and_landmarks_have_usual_names_and_references_beside_the_file(
     np.testing.assert_array_equal(m.landmark_references[0], [[5, 6, 7]])
     assert m.landmark_weights[1, 0] == 0  # an empty cell is a missing measurement
     (note,) = recording.notes
-    assert_told(note, "pressure")
+    assert_states(note, "pressure")
     # Arguments in Python override the TOML file.
     other = Recording.from_csv(tmp_path / "flight.csv", landmark_references=[[1, 1, 1]])
     np.testing.assert_array_equal(other.measurements.landmark_references[0], [[1, 1, 1]])
@@ -134,7 +134,7 @@ def test_the_file_beside_it_may_name_the_columns_and_the_start(tmp_path: Path) -
         (REFERENCES.replace("[[5, 6, 7]]", "[[5, 6]]"), "landmark_references"),
     ],
 )
-def test_what_the_file_beside_it_lacks_or_may_not_say(
+def test_missing_or_forbidden_settings_of_the_file_beside_it(
     tmp_path: Path, more: str, words: str
 ) -> None:
     with pytest.raises(MeasurementError, match=words):
@@ -189,7 +189,7 @@ def test_decimal_commas_are_read_where_commas_separate_no_columns(tmp_path: Path
         ("time,wx,wy,wz,judged\n0,1,2,3,1\n1,1,2,3,0.5\n", r"^\S*bad.csv: judged:.*mask"),
     ],
 )
-def test_what_no_csv_file_can_be_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_an_impossible_csv_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(RecordingError, match=words):
@@ -300,7 +300,7 @@ def test_euroc_is_read_and_says_what_was_made_of_the_truth(tmp_path: Path) -> No
     recording = Recording.from_euroc(tmp_path, **quiet)
     assert recording.samples == 390
     (note,) = recording.notes
-    assert_told(note, "10 IMU samples", "left out")
+    assert_states(note, "10 IMU samples", "left out")
     m = recording.measurements
     assert recording.truth is not None
     np.testing.assert_allclose(recording.truth.rotation, R.as_matrix(), atol=1e-9)
@@ -317,7 +317,7 @@ def test_euroc_is_read_and_says_what_was_made_of_the_truth(tmp_path: Path) -> No
     noisy = Recording.from_euroc(tmp_path, seed=1, landmark_rate=200)
     assert noisy.sources["angular velocity"].startswith("measured")
     assert "synthetic" in noisy.sources["landmarks"]
-    assert_told(noisy.sources["landmarks"], "0.05 m", "seed 1")
+    assert_states(noisy.sources["landmarks"], "0.05 m", "seed 1")
     assert "synthetic" in noisy.describe()
     errors = np.asarray(noisy.measurements.landmarks) - np.einsum(
         "kji,knj->kni",

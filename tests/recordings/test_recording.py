@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import GRAVITY, motion
 from scipy.spatial.transform import Rotation
 
@@ -42,7 +42,7 @@ def test_a_recording_holds_what_it_was_given() -> None:
         "motion": 300,
     }
     facts = ("400 samples", "4 s", "100 Hz", "2 vectors", "3 landmarks", "pose")
-    assert_told(recording.describe(), *facts)
+    assert_states(recording.describe(), *facts)
 
 
 def test_what_is_masked_is_missing() -> None:
@@ -54,7 +54,7 @@ def test_what_is_masked_is_missing() -> None:
     assert np.argwhere(np.asarray(weights) == 0).tolist() == [[7, 1]]
 
 
-def test_the_truth_may_be_quaternions_and_what_is_not_known_of_it_is_not_judged() -> None:
+def test_the_truth_may_be_quaternions_and_unknown_parts_are_not_judged() -> None:
     given = motion()
     q = Rotation.from_matrix(given.pop("truth_rotation")).as_quat(scalar_first=True)
     q[7] = np.nan
@@ -103,14 +103,14 @@ def broken(**changes: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("policy", ["hold", "interpolate"])
-def test_what_is_bridged_is_counted_and_told(policy: Any) -> None:
-    with pytest.warns(PosegsaWarning, match=r"1 sample.*dropped") as told:
+def test_what_is_bridged_is_counted_and_reported(policy: Any) -> None:
+    with pytest.warns(PosegsaWarning, match=r"1 sample.*dropped") as warned:
         recording = Recording.from_arrays(**broken(), bridge=policy)
     assert len(recording.notes) == 3
-    assert all(note in str(told[0].message) for note in recording.notes)
-    assert_told(recording.notes[1], "1 gap", "5 median steps", "0.2 s", "1.99 s")
-    assert_told(recording.notes[1], "19 samples", policy)
-    assert_told(recording.notes[2], "3 samples", "velocities", "300")
+    assert all(note in str(warned[0].message) for note in recording.notes)
+    assert_states(recording.notes[1], "1 gap", "5 median steps", "0.2 s", "1.99 s")
+    assert_states(recording.notes[1], "19 samples", policy)
+    assert_states(recording.notes[2], "3 samples", "velocities", "300")
     assert recording.samples == 400 - 1 + 19
     np.testing.assert_allclose(np.diff(recording.time)[49], 0.02)  # where one sample was dropped
     np.testing.assert_allclose(np.delete(np.diff(recording.time), 49), 0.01, atol=1e-9)
@@ -164,8 +164,8 @@ def test_what_is_too_long_to_bridge_is_refused(spoil: Any, words: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"time": None}, "give one of both"),
-        ({"time_step": 0.01}, "give one of both"),
+        ({"time": None}, "give one of the two"),
+        ({"time_step": 0.01}, "give one of the two"),
         ({"time": np.zeros(3, int)}, r"must have the shape \(400,\)"),
         ({"time": None, "time_step": -0.01}, r"time_step:.*positive"),
         ({"velocity": np.zeros((4, 3))}, r"velocity: must have the shape"),
@@ -173,7 +173,7 @@ def test_what_is_too_long_to_bridge_is_refused(spoil: Any, words: str) -> None:
         ({"vector_weights": -1.0}, r"vector_weights:.*not neg"),
         ({"truth_rotation": np.tile(2 * np.eye(3), (400, 1, 1))}, "must be rotations"),
         ({"truth_rotation": None}, "without a truth_rotation"),
-        ({"truth_quaternion": np.ones((400, 4))}, "give one of both"),
+        ({"truth_quaternion": np.ones((400, 4))}, "give one of the two"),
         ({"truth_rotation": None, "truth_quaternion": np.ones((400, 4))}, r"the length 1.* 2"),
         ({"judged": np.full(400, 0.5)}, r"judged:.*mask"),
         ({"phases": {"rest": np.ones(3, bool)}}, r"phases\['rest'\]:.*mask"),
@@ -209,7 +209,7 @@ def test_a_start_at_rest_has_pose_and_bias(kept: str) -> None:
     np.testing.assert_allclose(start.bias[:3], [0.02, 0, 0], atol=1e-2)
 
 
-def test_one_vector_alone_turns_the_start_as_little_as_it_can() -> None:
+def test_one_vector_alone_turns_the_start_as_little_as_possible() -> None:
     given = motion(velocity=None, landmarks=None, landmark_references=None)
     given |= {"vectors": given["vectors"][:, :1], "vector_references": GRAVITY[None]}
     given["angular_velocity"][:, 0] -= 0.02  # its bias, which would turn what is averaged
@@ -269,7 +269,7 @@ def test_a_start_needs_what_it_is_made_of() -> None:
         ).off(10)
 
 
-def test_off_the_truth_by_what_is_said() -> None:
+def test_off_the_truth_by_the_given_amounts() -> None:
     recording = Recording.from_arrays(**motion()).off(45.0, 2.0, seed=3)
     start, truth = recording.initial(), motion()
     angle = Rotation.from_matrix(start.rotation @ truth["truth_rotation"][0].T).magnitude()

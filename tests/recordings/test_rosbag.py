@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.bags import FIRST, KINDS, Messages, flight, write_bag
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import LANDMARKS, motion
 
 import posegsa
@@ -71,7 +71,7 @@ def test_each_kind_of_bag_has_the_motion_that_was_written(kind: str, bags: dict[
     )
     np.testing.assert_allclose(recording.truth.position[::2], given["truth_position"][::2])
     assert np.isnan(recording.truth.rotation[1]).all()
-    assert_told(recording.describe(), "/odom", "nav_msgs/Odometry", "landmarks[1]", "2")
+    assert_states(recording.describe(), "/odom", "nav_msgs/Odometry", "landmarks[1]", "2")
 
 
 @pytest.mark.parametrize("quantity", ["twist", "mocap_pose", "odom"])
@@ -101,7 +101,7 @@ def test_a_lone_imu_needs_no_topics(tmp_path: Path) -> None:
     recording = Recording.read(path)
     assert recording.attitude_only
     (note,) = (one for one in recording.notes if "topics" in one)
-    assert_told(note, "/imu, /mag", "not /tag_0", f"{path.name}.toml", 'velocity = "')
+    assert_states(note, "/imu, /mag", "not /tag_0", f"{path.name}.toml", 'velocity = "')
     given = motion()["vectors"]
     np.testing.assert_allclose(recording.sensors["accelerometer"], 9.81 * given[:, 0], atol=1e-12)
     assert np.isfinite(recording.sensors["magnetometer"]).all(axis=1).sum() == 80
@@ -112,7 +112,7 @@ def test_stamps_are_those_of_the_headers_or_of_the_bag(tmp_path: Path) -> None:
     zero = [make.imu(0, np.ones(3), np.ones(3)) for _ in range(3)]
     path = write_bag(tmp_path, "ros1", {"/imu": zero}, [FIRST + k * 10_000_000 for k in range(3)])
     topics = {"angular_velocity": "/imu"}
-    assert_told(refusal(path, topics), "/imu", "0", "bag")
+    assert_states(refusal(path, topics), "/imu", "0", "bag")
     recording = Recording.from_rosbag(path, topics, stamps="bag")
     np.testing.assert_array_equal(recording.time, [0, 0.01, 0.02])
 
@@ -130,7 +130,7 @@ def test_a_toml_file_beside_the_bag_names_its_topics(
     assert not any("topics" in note for note in found.notes)
     monkeypatch.setattr("posegsa.runtime.enable_fast_path", lambda: None)  # JAX has started
     assert main(["replay", "kalman", str(path), "--window", ":1"]) == 0
-    assert_told(capsys.readouterr().out, "flight_sqlite3[0:1]", "judged")
+    assert_states(capsys.readouterr().out, "flight_sqlite3[0:1]", "judged")
 
 
 def test_the_truth_can_be_a_tum_file(bags: dict[str, Path], tmp_path: Path) -> None:
@@ -142,53 +142,53 @@ def test_the_truth_can_be_a_tum_file(bags: dict[str, Path], tmp_path: Path) -> N
     recording = Recording.from_rosbag(bags["mcap"], topics, truth=file, **KNOWN)
     assert recording.truth is not None
     np.testing.assert_allclose(recording.truth.rotation, given["truth_rotation"], atol=1e-6)
-    assert_told(refusal(bags["mcap"], TOPICS, truth=file), "truth", "mocap.tum")
+    assert_states(refusal(bags["mcap"], TOPICS, truth=file), "truth", "mocap.tum")
 
 
 def test_an_error_names_what_the_bag_has(bags: dict[str, Path], tmp_path: Path) -> None:
     path = bags["ros1"]
     said = refusal(path, TOPICS | {"velocity": "/wheel"})
-    assert_told(said, "/wheel", "velocity", "/odom", "nav_msgs/Odometry", "sensor_msgs/Imu")
+    assert_states(said, "/wheel", "velocity", "/odom", "nav_msgs/Odometry", "sensor_msgs/Imu")
     said = refusal(path, TOPICS | {"velocity": "/imu"})
-    assert_told(said, "/imu", "sensor_msgs/Imu", "velocity", "geometry_msgs/TwistStamped")
-    assert_told(refusal(path, TOPICS | {"wheel": "/odom"}), "wheel", "velocity")
-    assert_told(refusal(path, TOPICS | {"vectors": "/imu"}), "vectors", "a list of topics")
-    assert_told(refusal(path, TOPICS | {"velocity": ["/odom"]}), "velocity", "a topic")
-    assert_told(refusal(path, {"velocity": "/odom"}), "angular_velocity", "/imu")
-    assert_told(refusal(path, TOPICS, landmark_references=None), "landmark_references", "2")
-    with pytest.raises(MeasurementError) as told:
+    assert_states(said, "/imu", "sensor_msgs/Imu", "velocity", "geometry_msgs/TwistStamped")
+    assert_states(refusal(path, TOPICS | {"wheel": "/odom"}), "wheel", "velocity")
+    assert_states(refusal(path, TOPICS | {"vectors": "/imu"}), "vectors", "a list of topics")
+    assert_states(refusal(path, TOPICS | {"velocity": ["/odom"]}), "velocity", "a topic")
+    assert_states(refusal(path, {"velocity": "/odom"}), "angular_velocity", "/imu")
+    assert_states(refusal(path, TOPICS, landmark_references=None), "landmark_references", "2")
+    with pytest.raises(MeasurementError) as raised:
         Recording.from_rosbag(path, TOPICS, **KNOWN | {"vector_references": [[0, 0, 1]]})
-    assert_told(str(told.value), "vector_references", "(2, 3)")
-    assert_told(refusal(path, TOPICS, stamps="bagged"), "stamps", "bagged", "header")
-    assert_told(refusal(tmp_path / "no.bag", TOPICS), "no.bag")
+    assert_states(str(raised.value), "vector_references", "(2, 3)")
+    assert_states(refusal(path, TOPICS, stamps="bagged"), "stamps", "bagged", "header")
+    assert_states(refusal(tmp_path / "no.bag", TOPICS), "no.bag")
     (tmp_path / "broken.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
-    assert_told(refusal(tmp_path / "broken.bag", TOPICS), "broken.bag", "cannot be read")
+    assert_states(refusal(tmp_path / "broken.bag", TOPICS), "broken.bag", "cannot be read")
     several = {"/a": [Messages("ros1").imu(FIRST, np.ones(3), np.ones(3))]}
     two = write_bag(tmp_path, "ros1", several | {"/b": several["/a"]})
     with pytest.raises(RecordingError) as caught:
         Recording.read(two)
-    assert_told(str(caught.value), "topics", "/a", "/b", f"{two.name}.toml")
+    assert_states(str(caught.value), "topics", "/a", "/b", f"{two.name}.toml")
 
 
 def test_messages_that_say_they_are_another_thing_are_refused(
     bags: dict[str, Path], tmp_path: Path
 ) -> None:
     said = refusal(bags["ros1"], TOPICS | {"velocity": "/world_twist"})
-    assert_told(said, "/world_twist", "map", "base_link")
+    assert_states(said, "/world_twist", "map", "base_link")
     make = Messages("ros1")
     none = [make.imu(FIRST + k, np.zeros(3), np.ones(3), covariance=-1.0) for k in range(3)]
     tags = [make.stamped(FIRST + k, np.ones(3), np.eye(3), f"camera_{k}") for k in range(3)]
     path = write_bag(tmp_path, "ros1", {"/imu": none, "/tag": tags})
-    assert_told(refusal(path, {"angular_velocity": "/imu"}), "angular_velocity_covariance", "-1")
+    assert_states(refusal(path, {"angular_velocity": "/imu"}), "angular_velocity_covariance", "-1")
     topics = {"angular_velocity": "/imu", "landmarks": ["/tag"]}
     path.unlink()
     good = [make.imu(FIRST + k, np.zeros(3), np.ones(3)) for k in range(3)]
     path = write_bag(tmp_path, "ros1", {"/imu": good, "/tag": tags})
-    assert_told(refusal(path, topics), "/tag", "camera_0", "camera_1")
+    assert_states(refusal(path, topics), "/tag", "camera_0", "camera_1")
 
 
 def test_without_the_library_the_error_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch, bags: dict[str, Path]
 ) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    assert_told(refusal(bags["ros1"], TOPICS), "rosbags", "pip install '.[ros]'")
+    assert_states(refusal(bags["ros1"], TOPICS), "rosbags", "pip install '.[ros]'")

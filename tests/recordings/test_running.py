@@ -65,27 +65,27 @@ def test_attitude_only_has_no_position() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_float32_measurements_for_a_float64_filter_are_told(recording: Recording) -> None:
+def test_float32_measurements_for_a_float64_filter_are_warned_of(recording: Recording) -> None:
     fields = recording.measurements._asdict()
     rounded = Measurements.from_arrays(**fields, dtype=np.float32)
     exact = Measurements.from_arrays(**fields, dtype=np.float64)
     gain = Observer(ConstantGain(jnp.float64(8.0)))
     initial = running.state_of(recording.initial())
-    with pytest.warns(PosegsaWarning, match="float32.* float64") as told:
+    with pytest.warns(PosegsaWarning, match="float32.* float64") as warned:
         estimates = posegsa.run_filter(gain, rounded, initial)
-    assert told[0].filename == __file__
+    assert warned[0].filename == __file__
     assert estimates.position.dtype == np.float64
     error = np.abs(estimates.position - posegsa.run_filter(gain, exact, initial).position).max()
     assert 0 < error < 1e-4
 
 
-def test_float32_measurements_for_a_float64_result_are_told(recording: Recording) -> None:
+def test_float32_measurements_for_a_float64_result_are_warned_of(recording: Recording) -> None:
     result = tuned(K, dtype="float64")
     with jax.enable_x64(True):
         measurements = Measurements.from_arrays(**recording.measurements._asdict())
-    with pytest.warns(PosegsaWarning, match="float32.* float64") as told:
+    with pytest.warns(PosegsaWarning, match="float32.* float64") as warned:
         result.estimate(measurements, rotation=np.eye(3), position=np.zeros(3))
-    assert told[0].filename == __file__
+    assert warned[0].filename == __file__
 
 
 def test_what_does_not_fit_is_refused(recording: Recording) -> None:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import LANDMARKS, motion
 from scipy.spatial.transform import Rotation
 
@@ -45,7 +45,7 @@ def test_a_sample_goes_to_the_nearest_stamp_and_is_missing_elsewhere() -> None:
     seen = np.asarray(m.landmark_weights) > 0
     assert np.flatnonzero(seen[:, 1]).tolist() == list(range(0, 400, 10))
     np.testing.assert_array_equal(m.landmarks[::10], motion()["landmarks"][::10])
-    assert_told(recording.describe(), "landmarks[1]", "40 samples", "10 Hz", "3 ms")
+    assert_states(recording.describe(), "landmarks[1]", "40 samples", "10 Hz", "3 ms")
 
 
 def test_a_velocity_is_held_as_a_filter_has_it_live() -> None:
@@ -53,7 +53,7 @@ def test_a_velocity_is_held_as_a_filter_has_it_live() -> None:
     recording = Recording.from_streams(**streams(velocity=(TIME[::2] + 1, ramp)))
     # At the even stamps the value of the same time has not come yet.
     np.testing.assert_array_equal(recording.measurements.velocity[:5, 0], [0, 0, 1, 1, 2])
-    assert_told(recording.describe(), "velocity", "50 Hz", "held", "1 sample")
+    assert_states(recording.describe(), "velocity", "50 Hz", "held", "1 sample")
 
 
 def test_streams_are_interpolated_where_the_user_says_so() -> None:
@@ -70,7 +70,7 @@ def test_streams_are_interpolated_where_the_user_says_so() -> None:
     seen = np.asarray(recording.measurements.landmark_weights) > 0
     assert seen[1:].all()
     assert not seen[0].any()  # nothing has come yet
-    assert_told(recording.describe(), "truth_quaternion", "interpolated", "landmarks[0]", "held")
+    assert_states(recording.describe(), "truth_quaternion", "interpolated", "landmarks[0]", "held")
 
 
 def test_nothing_is_held_or_interpolated_for_longer_than_the_longest_gap() -> None:
@@ -85,7 +85,7 @@ def test_nothing_is_held_or_interpolated_for_longer_than_the_longest_gap() -> No
     known = np.isfinite(recording.truth.position).all(axis=1)
     assert np.flatnonzero(~known).tolist() == list(range(100, 250))
     velocity = tuple(a[np.r_[0:50, 125:200]] for a in streams()["velocity"])
-    assert_told(refusal(velocity=velocity), "velocity", "hold")
+    assert_states(refusal(velocity=velocity), "velocity", "hold")
 
 
 def test_another_sensor_or_any_stamps_can_be_the_clock() -> None:
@@ -105,7 +105,7 @@ def test_of_several_samples_at_one_stamp_the_nearest_is_used() -> None:
         **streams(landmarks=[one], landmark_references=LANDMARKS[:1])
     )
     assert recording.measurements.landmarks[5, 0, 0] == 2
-    assert_told(recording.describe(), "2", "another is nearer")
+    assert_states(recording.describe(), "2", "another is nearer")
 
 
 def test_samples_outside_the_clock_are_left_out_and_counted() -> None:
@@ -116,7 +116,7 @@ def test_samples_outside_the_clock_are_left_out_and_counted() -> None:
         **streams(landmarks=[one], landmark_references=LANDMARKS[:1])
     )
     assert np.sum(np.asarray(recording.measurements.landmark_weights) > 0) == 40
-    assert_told(recording.describe(), "2 outside it left out")
+    assert_states(recording.describe(), "2 outside it left out")
 
 
 def test_seconds_and_nanoseconds_can_be_mixed() -> None:
@@ -128,18 +128,18 @@ def test_seconds_and_nanoseconds_can_be_mixed() -> None:
 
 def test_mistakes_are_named() -> None:
     time, values = streams()["velocity"]
-    assert_told(refusal(velocity=(time / 1e9 - 1e9, values)), "velocity", "clock")
-    assert_told(refusal(velocity=(time[::-1], values)), "velocity", "sample 1", "bridge")
-    assert_told(refusal(velocity=(time, values[:, :2])), "velocity", "(200, 3)", "(200, 2)")
-    assert_told(refusal(velocity=(time[:9], values)), "velocity", "(9, 3)", "(200, 3)")
-    assert_told(refusal(velocity=(time, np.full((200, 3), np.nan))), "velocity", "finite")
-    assert_told(refusal(landmarks=[values]), "landmarks[0]", "pair")
-    assert_told(refusal(velocity=values), "velocity", "pair")
-    assert_told(refusal(between={"wheel": "hold"}), "wheel", "velocity")
-    assert_told(refusal(between={"velocity": "spline"}), "spline", "interpolate")
-    assert_told(refusal(between={"velocity": "missing"}), "velocity", "hold")
-    assert_told(refusal(clock="gps"), "gps", "angular_velocity")
-    assert_told(refusal(clock=[1.7e9]), "clock", "1 sample", "2")
+    assert_states(refusal(velocity=(time / 1e9 - 1e9, values)), "velocity", "clock")
+    assert_states(refusal(velocity=(time[::-1], values)), "velocity", "sample 1", "bridge")
+    assert_states(refusal(velocity=(time, values[:, :2])), "velocity", "(200, 3)", "(200, 2)")
+    assert_states(refusal(velocity=(time[:9], values)), "velocity", "(9, 3)", "(200, 3)")
+    assert_states(refusal(velocity=(time, np.full((200, 3), np.nan))), "velocity", "finite")
+    assert_states(refusal(landmarks=[values]), "landmarks[0]", "pair")
+    assert_states(refusal(velocity=values), "velocity", "pair")
+    assert_states(refusal(between={"wheel": "hold"}), "wheel", "velocity")
+    assert_states(refusal(between={"velocity": "spline"}), "spline", "interpolate")
+    assert_states(refusal(between={"velocity": "missing"}), "velocity", "hold")
+    assert_states(refusal(clock="gps"), "gps", "angular_velocity")
+    assert_states(refusal(clock=[1.7e9]), "clock", "1 sample", "2")
 
 
 def test_samples_whose_stamps_go_back_are_dropped_with_a_bridge() -> None:
@@ -148,7 +148,7 @@ def test_samples_whose_stamps_go_back_are_dropped_with_a_bridge() -> None:
     swapped[10] = time[8]
     recording = Recording.from_streams(**streams(velocity=(swapped, values), bridge="hold"))
     assert recording.samples == 400
-    assert_told(recording.describe(), "velocity", "1 stamp", "dropped")
+    assert_states(recording.describe(), "velocity", "1 stamp", "dropped")
 
 
 def test_an_error_is_of_recordings() -> None:

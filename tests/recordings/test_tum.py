@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.recordings import motion
 from scipy.spatial.transform import Rotation
 
@@ -56,7 +56,7 @@ def test_a_csv_file_has_its_truth_from_a_tum_file(tmp_path: Path) -> None:
     beside.write_text('truth = "a.tum"\nvector_references = [[0, 0, 1]]')
     recording = posegsa.Recording.read(path)
     assert np.flatnonzero(recording.judged).tolist() == list(range(0, 400, 4))
-    assert_told(recording.describe(), "truth_quaternion", "100 samples", "25 Hz")
+    assert_states(recording.describe(), "truth_quaternion", "100 samples", "25 Hz")
     between = {"truth": "interpolate"}
     recording = posegsa.Recording.from_csv(path, truth=tmp_path / "a.tum", between=between)
     assert recording.judged.sum() == 397
@@ -80,7 +80,7 @@ def test_a_file_that_is_none_is_refused(text: str, facts: tuple[str, ...], tmp_p
     path.write_text(text)
     with pytest.raises(RecordingError) as caught:
         posegsa.read_tum(path)
-    assert_told(str(caught.value), "a.tum", *facts)
+    assert_states(str(caught.value), "a.tum", *facts)
 
 
 @pytest.mark.parametrize(("relation", "ours"), [("trans_part", "position"), ("angle_deg", "total")])

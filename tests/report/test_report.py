@@ -9,7 +9,7 @@ from pathlib import Path
 import jinja2
 import numpy as np
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.pages import PICTURE, Page
 from helpers.results import (
     ANGLES,
@@ -159,14 +159,14 @@ def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
     order = ("What it is for", "What is minimised", "What to do next", "Held out:")
     places = [text.index(words) for words in order]
     assert places == sorted(places)
-    assert_told(text, "0.2 for each metre", "0.3 from 0 to 1 s", "1 from 4 to 59 s")
-    assert_told(text, "bias error, linear", "0.500", "0.250 m/s")
-    assert_told(
+    assert_states(text, "0.2 for each metre", "0.3 from 0 to 1 s", "1 from 4 to 59 s")
+    assert_states(text, "bias error, linear", "0.500", "0.250 m/s")
+    assert_states(
         text, "The tuned filter is better than the best constant gains", "posegsa evaluate RUN"
     )
     other = changed(better, TUNED, cost=np.linspace(5, 6, 40))
     text = page(result(evaluation=other, cost="mine.cost")).text
-    assert_told(text, "constant: gain = 53.5", "mine.cost")
+    assert_states(text, "constant: gain = 53.5", "mine.cost")
     assert "posegsa evaluate RUN" not in page().text
 
 
@@ -208,19 +208,19 @@ def test_warnings_are_shown_before_all_else():
         assert warning[1:] in found.text
     assert found.text.index("SENSITIVE") < found.text.index("Held out, settled: tuned filter")
     assert any(a.get("class") == "warnings" for _, a in found.elements)
-    assert_told(found.text, "Sensitive", "more than 1 %", "No rule fires", "20.0 %")
+    assert_states(found.text, "Sensitive", "more than 1 %", "No rule fires", "20.0 %")
 
 
 def test_nothing_is_warned_of_where_nothing_is_wrong():
     found = page()
     assert not any(a.get("class") == "warnings" for _, a in found.elements)
-    assert_told(found.text, "Not sensitive", "within 1 %")
+    assert_states(found.text, "Not sensitive", "within 1 %")
 
 
 def test_an_oracle_signal_is_labelled():
     found = page(result("gain.signal=pose"))
     assert any(a.get("class") == "warnings" for _, a in found.elements)
-    assert_told(found.text, "Signal pose")
+    assert_states(found.text, "Signal pose")
 
 
 def test_the_trust_checks_are_shown():
@@ -289,7 +289,7 @@ def test_the_whole_configuration_is_there():
         (["family.random_phase=true"], ["random_phase = true"]),
     ],
 )
-def test_what_was_run_is_told_in_words(settings, words):
+def test_what_was_run_is_described(settings, words):
     rows = page(result(*settings)).table("The run in words")
     text = " ".join(cell for row in rows for cell in row)
     for each in words:
@@ -316,25 +316,25 @@ def described(section, key):
 
 
 def test_the_held_out_set_is_named():
-    assert_told(page().text, "own held-out set")
-    assert_told(page(result(evaluation=evaluation(seed=7))).text, "held-out set number 7")
+    assert_states(page().text, "own held-out set")
+    assert_states(page(result(evaluation=evaluation(seed=7))).text, "held-out set number 7")
 
 
 def test_what_the_contenders_are():
     rows = dict(page().table("What each contender is")[1:])
     assert list(rows) == list(OF_THE_OBSERVER)
-    assert_told(rows[CONSTANT], "constant", "gain = 53.5")
-    assert_told(rows[TUNED], "fuzzy", "k1 to k22")
-    assert_told(rows[SWITCH], "before = 80", "after = 20", "time = 1.5", "learning_time = 0")
-    assert_told(rows[OPEN_LOOP], "3 knots", "0 to 15 s", "open loop")
-    assert_told(rows[EKF], "Kalman")
+    assert_states(rows[CONSTANT], "constant", "gain = 53.5")
+    assert_states(rows[TUNED], "fuzzy", "k1 to k22")
+    assert_states(rows[SWITCH], "before = 80", "after = 20", "time = 1.5", "learning_time = 0")
+    assert_states(rows[OPEN_LOOP], "3 knots", "0 to 15 s", "open loop")
+    assert_states(rows[EKF], "Kalman")
     also = description("constant", gain=2)._replace(also={"filter.gamma": 2.5})
-    assert_told(filter_words(also), "constant", "gain = 2", "filter.gamma = 2.5")
+    assert_states(filter_words(also), "constant", "gain = 2", "filter.gamma = 2.5")
     assert "posegsa evaluate" in page(result(evaluation=evaluation((TUNED, CONSTANT)))).text
 
 
 def without_rules(*names: str, **values) -> Result:
-    """A result whose filter has no rules, beside another one."""
+    """A result whose filter has no rules, and another one."""
     judged = evaluation(names, initial_angle=ANGLES)
     own = judged.contenders[TUNED]._replace(filter=values["filter"])
     return result(
@@ -362,10 +362,10 @@ def test_a_kalman_filter_is_shown_beside_itself_as_configured():
     )
     found = page(given)
     assert not [words for words in (*NO_RULES, "gain K") if words in without_configuration(found)]
-    assert_told(found.text, "Held out, settled: before tuning", "the filter before tuning")
-    assert_told(found.text, "Kalman filter")
-    assert_told(found.text, "Errors of the tuned filter and of the filter before tuning by time")
-    assert_told(found.text, "worse than the filter before tuning: attitude")
+    assert_states(found.text, "Held out, settled: before tuning", "the filter before tuning")
+    assert_states(found.text, "Kalman filter")
+    assert_states(found.text, "Errors of the tuned filter and of the filter before tuning by time")
+    assert_states(found.text, "worse than the filter before tuning: attitude")
     assert ["before tuning", "Kalman filter"] in found.table("What each contender is")
     settings = {key: value for key, value, _ in found.table("Settings")[1:]}
     assert settings["filter.kind"] == '"kalman"'
@@ -379,28 +379,28 @@ def test_a_constant_gain_is_shown_beside_a_smooth_one():
     )
     found = page(given)
     assert not [words for words in NO_RULES if words in without_configuration(found)]
-    assert_told(found.text, "the gain K", "Held out, settled: smooth gain K(e)", "training 42.00")
+    assert_states(found.text, "the gain K", "Held out, settled: smooth gain K(e)", "training 42.00")
 
 
 def test_it_says_what_the_filter_was_tuned_on():
     given = result()
-    assert_told(page(given).text, "tuned on simulations", "minimised the cost on 24 training")
+    assert_states(page(given).text, "tuned on simulations", "minimised the cost on 24 training")
     judged = replace(given.search, tuned_on="recordings")
     text = page(replace(given, search=judged)).text
-    assert_told(text, "tuned on recordings", "minimised the cost on recordings")
+    assert_states(text, "tuned on recordings", "minimised the cost on recordings")
     assert "cost on 24 training scenario" not in text
     text = page(replace(given, search=None)).text
-    assert_told(text, "not searched", "None: the filter has the numbers that were given")
+    assert_states(text, "not searched", "None: the filter has the numbers that were given")
     assert not [words for words in ("minimised the cost", "were tuned on") if words in text]
 
 
-def test_what_was_tuned_too_is_shown_with_its_bounds():
+def test_other_tuned_numbers_are_shown_with_their_bounds():
     lines = '[{key = "filter.gamma", lower = 0.5, upper = 20.0, scale = "logarithmic"}]'
     settings = ("filter.gamma=5.0", f"parameters.also={lines}")
     found = page(result(*settings, also={"filter.gamma": 2.345678}))
     (row,) = found.table("Tuned values other than k1 to k22")[1:]
     assert row[0] == "filter.gamma"
-    assert_told(found.text, "gamma = 2.346")
+    assert_states(found.text, "gamma = 2.346")
     assert values(row[1]) == [pytest.approx(2.345678, rel=1e-3)]
     assert not any(caption.startswith("Tuned values") for caption in page().tables)
 
@@ -417,7 +417,7 @@ def test_endurance_is_shown_by_windows_and_warned_of():
         atol=0.0051,
     )
     assert any(a.get("class") == "warnings" for _, a in found.elements)
-    assert_told(found.text, "worse than the best constant gains", "attitude from 60 to 120 s")
+    assert_states(found.text, "worse than the best constant gains", "attitude from 60 to 120 s")
 
 
 def test_every_text_that_comes_from_data_is_escaped():
@@ -465,7 +465,7 @@ def test_infinite_costs_and_missing_intervals_are_shown_as_such():
     assert behaviour[CONSTANT][3] == "\u221e"
     cells = [cell for rows in found.tables.values() for row in rows for cell in row]
     assert not any(re.search(r"\b(nan|inf)\b", cell) for cell in cells)
-    assert_told(found.text, "training \u221e")
+    assert_states(found.text, "training \u221e")
 
 
 @pytest.mark.parametrize(
@@ -491,7 +491,7 @@ def test_large_costs_are_written_short():
 
 
 def test_the_angles_are_explained_where_they_do_not_differ():
-    assert_told(page().text, "174.8 deg")
+    assert_states(page().text, "174.8 deg")
     found = page(result(evaluation=evaluation(initial_angle=ANGLES)))
     assert "174.8 deg" not in found.text
 
@@ -533,7 +533,7 @@ def test_another_evaluation_replaces_figures_and_report(tmp_path, monkeypatch):
     posegsa.save(replace(first, on_scenarios=judged), tmp_path, overwrite=True)
     assert not (tmp_path / "figures" / "angles.png").exists(), "it would be another evaluation's"
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert_told(text, "held-out set number 3")
+    assert_states(text, "held-out set number 3")
     assert "figure-costs" in text
 
 
@@ -555,4 +555,4 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
 def test_it_says_which_scenarios_judged(seed, held_out, facts):
     given = replace(evaluation(), seed=seed)
     text = page(result(f"run.held_out_scenarios={held_out}", evaluation=given)).text
-    assert_told(text, *facts)
+    assert_states(text, *facts)

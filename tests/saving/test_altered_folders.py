@@ -1,4 +1,4 @@
-"""Every field of what is read of a run, on scenarios and on recordings, and of a comparison.
+"""Every field that is read of a run, on scenarios and on recordings, and of a comparison.
 
 Each field is altered: it is given a few of the values, other fields of its type others.
 
@@ -131,7 +131,7 @@ def recorded(tmp_path_factory):
 
 
 def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
-    """Every field in plain data; the first entry of a list stands for all."""
+    """Every field in plain data; the first entry of a list represents all."""
     items = data.items() if isinstance(data, dict) else enumerate(data[:1])
     for key, value in items:
         yield (*before, key)
@@ -211,7 +211,7 @@ ON_SCENARIOS = ("on_scenarios", "evaluation", "contenders")
 
 
 def alike(path: tuple) -> bool:
-    """Whether others of its kind stand for a field."""
+    """Whether others of its kind represent a field."""
     if path[0] == "experiment":  # is checked like any configuration
         return len(path) > 2
     if path[:3] == ON_SCENARIOS and len(path) > 4 and path[3] != TUNED:
@@ -350,7 +350,7 @@ def test_a_changed_digit_is_found_and_read_on_demand(run):
     assert posegsa.load(run).search.search_seconds == 0.25
     wrong = json.dumps(altered(run, "search/non_finite", 3))
     with pytest.raises(RunFolderError, match=r"search\.history\.non_finite = 0"):
-        load_text(run, wrong, edited=True)  # its parts must fit together all the same
+        load_text(run, wrong, edited=True)  # its parts must fit together nevertheless
     with pytest.raises(RunFolderError, match=r"search\.non_finite = -1"):
         load_text(run, json.dumps(altered(run, "search/non_finite", -1)), edited=True)
 
@@ -423,7 +423,7 @@ def test_a_result_without_its_own_contenders_is_refused(run, missing):
         load_text(run, sealed(altered(run, CONTENDER + missing, gone=True)))
 
 
-# What is not read as it is ------------------------------------------------------------------------
+# Content that is refused or converted -------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -454,7 +454,7 @@ def test_a_filter_of_the_users_own_has_to_be_passed(tmp_path, run):
         posegsa.load(run, filter=Nothing)
 
 
-def test_a_folder_of_an_earlier_version_is_told_apart(tmp_path):
+def test_a_folder_of_an_earlier_version_is_recognised(tmp_path):
     for name in ("result.json", "recorded.json"):
         folder = tmp_path / name
         folder.mkdir()

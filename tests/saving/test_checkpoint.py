@@ -52,7 +52,7 @@ def test_a_search_comes_back_bit_for_bit(whole, saved):
 
 
 @pytest.mark.parametrize("interrupted_at", range(7))
-def test_going_on_from_a_file_is_never_having_stopped(whole, tmp_path, interrupted_at):
+def test_resuming_from_a_file_equals_never_having_stopped(whole, tmp_path, interrupted_at):
     finished, seen = whole
     path = tmp_path / "search"
     save_search(path, seen[interrupted_at])
@@ -82,7 +82,7 @@ def test_random_search_and_float64_likewise(tmp_path, x64):
     assert_same(loaded, half)
 
 
-def test_a_search_of_several_phases_goes_on_from_any_of_them(tmp_path):
+def test_a_search_of_several_phases_resumes_from_any_of_them(tmp_path):
     polish, seen = PolishedGSA(agents=5, iterations=40, share=0.9, starts=2), []
     whole = minimise(sphere, BOX, polish, KEY, chunk=1, callback=seen.append)
     assert [phase.iterations for phase in polish.phases] == [4, 3]
@@ -178,7 +178,7 @@ def forged(path, header: dict, payload: bytes = b"") -> None:
         ([], "not as"),
     ],
 )
-def test_a_forged_header_asks_for_nothing_and_runs_nothing(tmp_path, header, said):
+def test_a_forged_header_allocates_nothing_and_runs_nothing(tmp_path, header, said):
     path = tmp_path / "forged"
     forged(path, header)
     with pytest.raises(CheckpointError, match=said):
@@ -193,7 +193,7 @@ def test_a_forged_header_asks_for_nothing_and_runs_nothing(tmp_path, header, sai
         (1, "float64", "is"),
     ],
 )
-def test_what_the_header_says_of_an_array_has_to_be_what_is_needed(saved, place, value, said):
+def test_an_arrays_header_must_match_what_is_needed(saved, place, value, said):
     like = start(SMALL, BOX, KEY)
     header, payload = saved.read_bytes().split(b"\n", 3)[2:]
     forging = json.loads(header)
@@ -214,7 +214,7 @@ def test_bytes_that_do_not_fit_the_arrays_are_refused(saved):
             load_search(saved, like)
 
 
-def test_what_is_no_array_is_refused_by_name(whole, tmp_path):
+def test_an_object_that_is_not_an_array_is_refused_by_name(whole, tmp_path):
     odd = whole[0]._replace(state={"strategy": (object(), 1.0)})
     assert objects_in(odd) == {".state['strategy'][0]": "object"}
     assert not objects_in(whole[0])

@@ -57,27 +57,27 @@ def test_other_threads_are_left_alone():
 
 @pytest.mark.parametrize("number", TERMINATING)
 def test_it_raises_where_nothing_is_deferred(number):
-    before, told = signal.getsignal(number), threading.Event()
-    with immediate_signals(told.set), pytest.raises(SearchInterrupted) as stopped:
+    before, noted = signal.getsignal(number), threading.Event()
+    with immediate_signals(noted.set), pytest.raises(SearchInterrupted) as stopped:
         signal.raise_signal(number)
     assert stopped.value.signal_number == number
-    assert told.is_set(), "by the thread, which the context waits for"
+    assert noted.is_set(), "by the thread, which the context waits for"
     assert signal.getsignal(number) is before
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_what_is_stopped_says_how_to_go_on(number):
+def test_what_is_stopped_says_how_to_resume(number):
     with (
         immediate_signals(lambda: None),
-        pytest.raises(SearchInterrupted, match=r"^go on with: it$") as stopped,
-        resumable(lambda: "go on with: something else"),
-        resumable(lambda: "go on with: it"),
+        pytest.raises(SearchInterrupted, match=r"^resume with: it$") as stopped,
+        resumable(lambda: "resume with: something else"),
+        resumable(lambda: "resume with: it"),
     ):
         signal.raise_signal(number)
     assert stopped.value.signal_number == number
 
 
-def test_what_has_said_how_to_go_on_says_no_more():
+def test_what_has_said_how_to_resume_prints_nothing_more():
     said = SearchInterrupted("interrupted after iteration 3", signal.SIGTERM)
     with pytest.raises(SearchInterrupted) as stopped, resumable(lambda: "something else"):
         raise said
@@ -89,7 +89,7 @@ import hashlib, os, signal, threading
 from posegsa.saving.interrupt import immediate_signals, deferred_signals
 
 def say():
-    print("told", flush=True)
+    print("seen", flush=True)
     os.kill(os.getpid(), signal.SIGINT)  # a second time, now that the first has been seen
 
 with immediate_signals(say), deferred_signals():
@@ -103,13 +103,13 @@ ALONE = BUSY.replace("    os.kill(os.getpid(), signal.SIGINT)", "    return").re
     "with immediate_signals(say), deferred_signals():",
     """from posegsa.saving import interrupt
 interrupt.PATIENCE = 0.1
-how = interrupt.resumable(lambda: "go on with: it")
+how = interrupt.resumable(lambda: "resume with: it")
 with immediate_signals(say, print), deferred_signals(), how:""",
 )
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_the_first_stops_soon_in_compiled_code_and_says_how_to_go_on(number):
+def test_the_first_stops_soon_in_compiled_code_and_says_how_to_resume(number):
     code = ALONE.replace(
         "os.kill, (os.getpid(), signal.SIGINT)", f"os.kill, (os.getpid(), {number})"
     )
@@ -117,7 +117,7 @@ def test_the_first_stops_soon_in_compiled_code_and_says_how_to_go_on(number):
         [sys.executable, "-u", "-c", code], capture_output=True, text=True, check=False, timeout=120
     )
     assert done.returncode == 128 + number, done.stderr
-    assert done.stdout == "told\ngo on with: it\n"
+    assert done.stdout == "seen\nresume with: it\n"
 
 
 def test_the_second_stops_at_once_in_compiled_code():
@@ -125,4 +125,4 @@ def test_the_second_stops_at_once_in_compiled_code():
         [sys.executable, "-c", BUSY], capture_output=True, text=True, check=False, timeout=120
     )
     assert done.returncode == 128 + signal.SIGINT, done.stderr
-    assert done.stdout == "told\n"
+    assert done.stdout == "seen\n"

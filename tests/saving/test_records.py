@@ -215,7 +215,7 @@ def test_missing_and_unknown_fields_are_refused(name):
         ('{"schema": 5}', "count: .*; finite: .*9 more"),
     ],
 )
-def test_what_is_no_such_record_is_refused_as_that(text, said):
+def test_malformed_records_are_refused(text, said):
     with pytest.raises(RunFolderError, match=f"record.json: {said}"):
         read(text)
 

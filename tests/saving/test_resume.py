@@ -41,11 +41,11 @@ def whole(task):
     return run_search(task).search
 
 
-def search_in(folder, task, *, stop_at=(), experiment=LONG, begun=None):
+def search_in(folder, task, *, stop_at=(), experiment=LONG, earlier=None):
     """Search with checkpoints; a signal asks to stop after each of these iterations."""
     search, asked = None, StopRequest()
-    if begun is not None:
-        search = begun.checkpoint.search(first_search(task))
+    if earlier is not None:
+        search = earlier.checkpoint.search(first_search(task))
 
     def tell(progress) -> None:
         if progress.iteration in stop_at:
@@ -87,61 +87,61 @@ def test_what_took_long_is_saved_at_once(task, whole, tmp_path):
 
 
 @pytest.mark.parametrize("stops", [[0], [1], [4], [6], [7], [1, 2, 3, 5, 6]])
-def test_it_goes_on_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, stops):
-    begun = None
+def test_it_resumes_bit_for_bit_wherever_it_was_stopped(task, whole, tmp_path, stops):
+    earlier = None
     for at in stops:
         with pytest.raises(SearchInterrupted, match=rf"of 8.*--resume {tmp_path}") as stopped:
-            search_in(tmp_path, task, stop_at=[at], begun=begun)
+            search_in(tmp_path, task, stop_at=[at], earlier=earlier)
         assert stopped.value.signal_number == signal.SIGTERM
-        begun = newest_checkpoint(tmp_path)
+        earlier = newest_checkpoint(tmp_path)
         # The signal is seen when the running chunk, here an iteration, is done.
-        assert begun.checkpoint.search(first_search(task)).iteration == at + 1
-    assert_same(search_in(tmp_path, task, begun=begun), whole)
+        assert earlier.checkpoint.search(first_search(task)).iteration == at + 1
+    assert_same(search_in(tmp_path, task, earlier=earlier), whole)
 
 
 def test_a_signal_after_the_last_chunk_stops_too(task, whole, tmp_path):
     """All iterations are done, but nothing is judged: the run stops as requested."""
     with pytest.raises(SearchInterrupted, match=r"iteration 8 of 8.*--resume"):
         search_in(tmp_path, task, stop_at=[8])
-    begun = newest_checkpoint(tmp_path)
-    told = []
+    earlier = newest_checkpoint(tmp_path)
+    reports = []
     with CheckpointWriter(tmp_path, LONG, StopRequest()) as keep:
-        search = begun.checkpoint.search(first_search(task))
-        found = run_search(task, told.append, search=search, after_chunk=keep).search
+        search = earlier.checkpoint.search(first_search(task))
+        found = run_search(task, reports.append, search=search, after_chunk=keep).search
     assert_same(found, whole)
-    assert [p.iteration for p in told] == [8], "nothing is left to search"
+    assert [p.iteration for p in reports] == [8], "nothing is left to search"
 
 
-def test_a_damaged_checkpoint_that_was_passed_over_holds_no_place(task, tmp_path):
+def test_a_skipped_damaged_checkpoint_does_not_count(task, tmp_path):
     search_in(tmp_path, task)
     newest = tmp_path / "checkpoints" / "000000008.checkpoint"
     newest.write_bytes(b"damaged")
     (tmp_path / "checkpoints" / "000000004.checkpoint").write_bytes(b"an earlier one")
     copied = tmp_path / "checkpoints" / "copy.checkpoint"
     with pytest.warns(PosegsaWarning, match="000000006"):
-        begun = newest_checkpoint(tmp_path)
+        earlier = newest_checkpoint(tmp_path)
     copied.write_bytes(b"somebody's own")
     with CheckpointWriter(tmp_path, LONG, StopRequest()) as keep:
-        keep(begun.checkpoint.search(first_search(task)), 0.0, 0.0)
+        keep(earlier.checkpoint.search(first_search(task)), 0.0, 0.0)
     copied.unlink()
     assert names(tmp_path) == [4, 6], "what was just written stays, with the one before"
     assert newest_checkpoint(tmp_path).checkpoint.search(first_search(task)).iteration == 6
 
 
-def test_a_damaged_checkpoint_is_told_and_the_one_before_is_used(task, whole, tmp_path):
+def test_a_damaged_checkpoint_is_reported_and_the_previous_one_is_used(task, whole, tmp_path):
     search_in(tmp_path, task)
     newest = tmp_path / "checkpoints" / "000000008.checkpoint"
     newest.write_bytes(newest.read_bytes()[:-5])
     with pytest.warns(PosegsaWarning, match=r"000000008.*damaged.*000000006"):
-        begun = newest_checkpoint(tmp_path)
-    assert_same(search_in(tmp_path, task, begun=begun), whole)
+        earlier = newest_checkpoint(tmp_path)
+    assert_same(search_in(tmp_path, task, earlier=earlier), whole)
     for path in (tmp_path / "checkpoints").iterdir():
         path.write_bytes(b"")
     with pytest.raises(CheckpointError, match=r"000000008(.|\n)*000000006(.|\n)*no checkpoint"):
         newest_checkpoint(tmp_path)
 
 
-def test_what_another_machine_made_is_told(task, tmp_path, monkeypatch):
+def test_what_another_machine_made_is_reported(task, tmp_path, monkeypatch):
     here = checkpointing.environment()
     earlier = {name: value for name, value in here.items() if name != "posegsa"}
     for made, said in (
@@ -208,7 +208,7 @@ def test_a_disk_that_fills_does_not_stop_the_search(task, whole, tmp_path):
     assert_same(newest_checkpoint(tmp_path).checkpoint.search(first_search(task)), whole)
 
 
-def test_a_disk_that_is_full_at_first_is_told_before_the_search(task, tmp_path):
+def test_a_disk_that_is_full_at_first_is_reported_before_the_search(task, tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
     try:
@@ -219,7 +219,7 @@ def test_a_disk_that_is_full_at_first_is_told_before_the_search(task, tmp_path):
     assert not any((tmp_path / "checkpoints").iterdir())
 
 
-def test_what_jax_raises_says_how_to_go_on(task, whole, tmp_path):
+def test_what_jax_raises_says_how_to_resume(task, whole, tmp_path):
     from jax.errors import JaxRuntimeError
 
     def fail(progress) -> None:
@@ -231,19 +231,19 @@ def test_what_jax_raises_says_how_to_go_on(task, whole, tmp_path):
         CheckpointWriter(tmp_path, LONG, StopRequest()) as keep,
     ):
         run_search(task, fail, after_chunk=keep)
-    assert_same(search_in(tmp_path, task, begun=newest_checkpoint(tmp_path)), whole)
+    assert_same(search_in(tmp_path, task, earlier=newest_checkpoint(tmp_path)), whole)
 
 
 def test_an_extended_run_is_that_of_its_experiment_from_the_start(task, whole, tmp_path):
     """G and K_best are constant from the eighth iteration on; the configuration says so."""
     search_in(tmp_path, task)
-    begun = newest_checkpoint(tmp_path)
+    earlier = newest_checkpoint(tmp_path)
     more = experiment_to_resume(
-        begun.about.experiment, config.override(LONG, ["search.iterations=11"])
+        earlier.about.experiment, config.override(LONG, ["search.iterations=11"])
     )
     longer = task._replace(experiment=more)
-    going_on = lengthened(begun.checkpoint.search(first_search(task)), 11)
-    extended = run_search(longer, search=going_on).search
+    extended_search = lengthened(earlier.checkpoint.search(first_search(task)), 11)
+    extended = run_search(longer, search=extended_search).search
     assert_same(extended, run_search(longer).search)
     assert (extended.history.best[:8] == whole.history.best).all()
     held, longest = (o.schedule()[0] for o in (more.search, GSA(agents=6, iterations=11)))
@@ -263,7 +263,7 @@ def test_resume_refuses_what_it_cannot_mean(tmp_path):
         posegsa.tune(resume=5)
 
 
-def test_a_checkpoint_says_what_it_is_of(task, tmp_path):
+def test_a_checkpoint_names_its_experiment(task, tmp_path):
     """A checkpoint of a search outside a tuning run is refused."""
     (tmp_path / "checkpoints").mkdir()
     path = tmp_path / "checkpoints" / "000000001.checkpoint"

@@ -104,7 +104,7 @@ def test_a_second_writer_is_refused_until_the_first_is_done(tmp_path):
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
-def test_a_file_system_without_locks_is_written_to_all_the_same(tmp_path, monkeypatch, number):
+def test_a_file_system_without_locks_is_still_written_to(tmp_path, monkeypatch, number):
     def no_locks(descriptor, how):
         raise OSError(number, os.strerror(number))
 
@@ -167,6 +167,6 @@ def test_a_limit_of_the_system_leaves_the_old_file(tmp_path):
 
 
 @pytest.mark.parametrize("value", ["", "no\0path", 5, None, b"bytes"])
-def test_what_is_no_path_is_refused(value):
+def test_a_value_that_is_not_a_path_is_refused(value):
     with pytest.raises(RunFolderError, match=r"folder = .*path"):
         prepare_folder(value)

@@ -94,7 +94,7 @@ def test_they_are_searched_between_their_bounds_by_number_or_logarithm() -> None
 
 @pytest.mark.usefixtures("x64")
 def test_what_a_search_finds_costs_as_much_in_the_configuration() -> None:
-    """All numbers at once; every third is fixed, as its two bounds are equal."""
+    """All numbers at once; every third is fixed, because its two bounds are equal."""
     keys = tuple(tunable(PAIR))
     lower = [0.3 + 0.015 * i for i in range(len(keys))]
     upper = [low if i % 3 == 0 else low + 0.3 for i, low in enumerate(lower)]

@@ -43,7 +43,7 @@ CASES: dict[str, tuple[list[str], Any]] = {
 
 
 class Searched(NamedTuple):
-    """A problem, and what two searches of it found."""
+    """A problem, and the results of two searches of it."""
 
     problem: TuningProblem
     found: Found
@@ -137,7 +137,7 @@ def test_a_filter_of_the_users_own_that_can_not_be_is_refused() -> None:
         tuning_problem(experiment, own=lambda **numbers: "fast")  # type: ignore[arg-type]  # no filter
 
 
-def test_a_kalman_filter_without_the_options_for_speed_is_told(
+def test_a_kalman_filter_without_the_options_for_speed_warns(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("XLA_FLAGS", "")

@@ -34,8 +34,8 @@ def found() -> str:
     )
     attitude = motion(100, velocity=None, landmarks=None, landmark_references=None)
     flight = Recording.from_arrays(name="flight", **attitude)
-    begun = [flight.off(40, seed=seed) for seed in range(3)]  # 33 simulations, an odd number
-    search = run_search(recorded_problem(experiment, begun, 1.0)).search
+    recordings = [flight.off(40, seed=seed) for seed in range(3)]  # 33 simulations, an odd number
+    search = run_search(recorded_problem(experiment, recordings, 1.0)).search
     history = (search.history.best, search.history.mean, search.history.worst)
     return f"{np.stack(history).tobytes().hex()} {float(search.best_cost).hex()}"
 
@@ -73,13 +73,13 @@ def test_two_processes_find_what_one_finds():
         for i in range(2)
     ]
     try:
-        told = [process.communicate(timeout=180) for process in running]
+        outputs = [process.communicate(timeout=180) for process in running]
     finally:
         for process in running:
             process.kill()
-    assert [process.returncode for process in running] == [0, 0], told
+    assert [process.returncode for process in running] == [0, 0], outputs
     wanted = f"found {found()}"
-    assert [out.splitlines()[-1] for out, _ in told] == [wanted, wanted]
+    assert [out.splitlines()[-1] for out, _ in outputs] == [wanted, wanted]
 
 
 @pytest.mark.parametrize(
@@ -95,6 +95,6 @@ def test_two_processes_find_what_one_finds():
         ((9, 2, 0), r"coordinator:.* int.*text, HOST:PORT"),
     ],
 )
-def test_processes_that_cannot_join_are_told_why(given, message):
+def test_processes_that_cannot_join_report_why(given, message):
     with pytest.raises(ArgumentError, match=message):
         devices.join_processes(*given)

@@ -295,7 +295,7 @@ def test_a_controller_has_the_configured_choices() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_the_vector_stands_in_the_terms_as_the_paper_places_it() -> None:
+def test_the_vector_fills_the_terms_in_the_papers_order() -> None:
     inputs, outputs = space().raw_terms(jnp.arange(1.0, 23.0))
     np.testing.assert_array_equal(inputs, [[0, 0, 1], [2, 3, 4], [5, 6, 7], [8, 9, 10], [11, 1, 1]])
     np.testing.assert_array_equal(

@@ -120,7 +120,7 @@ OTHER_NUMBERS = (
 )
 
 
-def test_other_numbers_are_not_compiled_anew(caplog: pytest.LogCaptureFixture) -> None:
+def test_other_numbers_are_not_compiled_again(caplog: pytest.LogCaptureFixture) -> None:
     vectors = search_vectors(AGENTS, seed=1)
 
     def costs(*settings: str) -> np.ndarray:

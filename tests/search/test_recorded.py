@@ -76,7 +76,7 @@ def test_the_cost_is_that_of_the_filter_on_each_recording(recordings: list[Recor
     np.testing.assert_allclose(costs, expected, rtol=2e-4)
 
 
-def test_what_is_not_judged_counts_for_nothing(recordings: list[Recording]) -> None:
+def test_samples_that_are_not_judged_do_not_count(recordings: list[Recording]) -> None:
     one = recordings[0]
     assert one.truth is not None
     spoilt = one.truth.each(np.copy)
@@ -256,7 +256,7 @@ def test_each_group_has_its_share_of_what_is_minimised(one_landmark: Recording) 
 
 
 @PROJECTED
-def test_a_scenario_that_ends_before_it_counts_costs_nothing(one_landmark: Recording) -> None:
+def test_a_scenario_that_ends_before_its_cost_window_costs_nothing(one_landmark: Recording) -> None:
     short = mixed("family.duration=[0.05, 0.05]", "cost.transient_weight=0.0")
     problem = recorded_problem(short, [one_landmark], 100.0)
     assert problem.beside is not None
@@ -268,7 +268,7 @@ def test_recordings_with_other_sensors_are_refused_beside_scenarios(
     recordings: list[Recording],
 ) -> None:
     for given, words in (  # both together, as above, so that nothing is compiled
-        (recordings, "pose has 2 vectors and 3 landmarks; allowed beside simulated scenarios"),
+        (recordings, "pose has 2 vectors and 3 landmarks; allowed with simulated scenarios"),
         (recordings[::-1], r"attitude has no position \(attitude only\)"),
     ):
         with pytest.raises(ConfigError, match=f"simulated_share = 0.25: {words}"):

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import pytest
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 
 from posegsa.errors import ConfigError
 from posegsa.settings.choice import Choice
@@ -49,7 +49,7 @@ class Root(Section):
         Swarm | Descent | Then,
         Choice("optimiser", {"swarm": Swarm, "descent": Descent, "swarm+descent": Then}),
     ] = Swarm()
-    """A union told apart by its tag."""
+    """A union discriminated by its tag."""
     particles: Literal[1, 2] = 1
     """A key that a member of the union has too."""
 
@@ -89,19 +89,19 @@ def refusal(search: object, **others: object) -> str:
 )
 def test_members_of_a_union_are_named_as_a_file_has_them(search: object, facts: list[str]) -> None:
     text = refusal(search)
-    assert_told(text, *facts)
+    assert_states(text, *facts)
     for tag in ("swarm.", "descent.", "pydantic", "Input"):
         assert tag not in text.replace("search.", "")
 
 
 def test_keys_of_the_member_that_is_meant_are_known() -> None:
     text = refusal({"optimiser": "descent", "inertia": 1})
-    assert_told(text, "search.inertia", "optimiser", "starts")
+    assert_states(text, "search.inertia", "optimiser", "starts")
     assert "particles" not in text
 
 
-def test_each_conflict_of_a_section_is_told_with_its_key() -> None:
+def test_each_conflict_of_a_section_is_reported_with_its_key() -> None:
     text = refusal({"optimiser": "swarm+descent"}, particles=3)
-    assert_told(text, "search.first.particles = 10", "at most 5")
-    assert_told(text, "search.first.particles allowed: fewer")
-    assert_told(text, "particles = 3", "1", "2")
+    assert_states(text, "search.first.particles = 10", "at most 5")
+    assert_states(text, "search.first.particles allowed: fewer")
+    assert_states(text, "particles = 3", "1", "2")
