@@ -61,10 +61,10 @@ class Trial(NamedTuple):
 def trial(path: Path, change: Change | None = None) -> Trial:
     """A trial from its file, with its signals changed."""
     one = Recording.from_broad(path)
-    begin = float(one.time[np.argmax(one.phases["motion"])]) + BEGUN
+    begin = float(one.time[np.argmax(one.phases["motion"])]) + START_DELAY
     one = one if change is None else change(one)
     later = posegsa.as_imu(one.window(begin))
-    moving = replace(later, judged=later.judged & (later.time >= LATE))
+    moving = replace(later, judged=later.judged & (later.time >= JUDGE_DELAY))
     return Trial(path.stem, posegsa.as_imu(one), moving)
 
 

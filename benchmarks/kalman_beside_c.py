@@ -69,7 +69,7 @@ def task_of_filters(states: int) -> tuple[TuningProblem, jax.Array, KalmanFilter
     e = task.experiment
     seeds = training_keys(e.run.seed, e.run.training_scenarios)
     made = scenario_batch(e, seeds, filter)
-    middle = jnp.log(jnp.asarray([BELIEVED[name] for name in SEARCHED], jnp.float32))
+    middle = jnp.log(jnp.asarray([ASSUMED[name] for name in SEARCHED], jnp.float32))
     lower, upper = middle - np.log(FACTOR), middle + np.log(FACTOR)
     logarithmic = (True,) * len(SEARCHED)
     space = SearchSpace(without_schedule("float32"), lower, upper, SEARCHED, logarithmic)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.experiments import tiny
-from helpers.messages import assert_told
+from helpers.messages import assert_states
 from helpers.results import endurance as made
 
 from posegsa import config

@@ -278,5 +278,5 @@ def test_a_difference_that_may_be_chance_is_not_in_the_verdict():
 
 def test_what_cannot_be_compared_is_told():
     given = changed(made_up((TUNED, CONSTANT)), TUNED, cost=np.full(40, np.inf))
-    assert_told(given.verdict(), "cannot be compared", "best constant gains", "infinite costs")
+    assert_states(given.verdict(), "cannot be compared", "best constant gains", "infinite costs")
     assert given.better == {}

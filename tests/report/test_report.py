@@ -148,7 +148,7 @@ def test_training_stands_beside_held_out():
     for name, level in ((TUNED, 43.0), (CONSTANT, 45.0)):
         given = changed(given, name, **costs(level))
     text = page(result(evaluation=given)).text
-    assert_told(text, "43.00", "training 41.25", "training 45.00", "53.5", "\u22122.00")
+    assert_states(text, "43.00", "training 41.25", "training 45.00", "53.5", "\u22122.00")
 
 
 def test_it_opens_with_what_the_run_was_for_and_what_to_do_next():
@@ -175,12 +175,12 @@ def test_it_says_which_other_filters_do_better():
     for name in OF_THE_OBSERVER[1:]:
         given = changed(given, name, cost=np.linspace(13, 14, 40))
     text = page(result(evaluation=given)).text
-    assert_told(text, "costs less by more than chance")
-    assert_told(text, "The tuned filter is better than the best constant gains")
+    assert_states(text, "costs less by more than chance")
+    assert_states(text, "The tuned filter is better than the best constant gains")
     given = changed(given, OPEN_LOOP, cost=np.linspace(9, 10.5, 40))
     found = page(result(evaluation=given))
-    assert_told(found.text, "best open-loop gains", "by 1.25", "95 %", "1.2 to 1.3")
-    assert_told(found.text, "depend only on time")
+    assert_states(found.text, "best open-loop gains", "by 1.25", "95 %", "1.2 to 1.3")
+    assert_states(found.text, "depend only on time")
     assert "The tuned filter is better than the best constant gains" not in found.text
     assert "posegsa export RUN --format c" in found.texts, "as code"
 
@@ -244,7 +244,7 @@ def test_every_rule_is_shown_with_its_weight():
             term, weight = cell.split(" ")
             assert term == printed[4 - r][4 - e]
             assert float(weight) == pytest.approx(trust().rule_weights[r, e], rel=0.05)
-    assert_told(page().text, "2 of 25 rules", "1 %")
+    assert_states(page().text, "2 of 25 rules", "1 %")
 
 
 def test_every_parameter_is_shown_as_the_corner_that_it_is():
