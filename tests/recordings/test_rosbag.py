@@ -156,6 +156,9 @@ def test_an_error_names_what_the_bag_has(bags: dict[str, Path], tmp_path: Path) 
     assert_told(refusal(path, TOPICS | {"velocity": ["/odom"]}), "velocity", "a topic")
     assert_told(refusal(path, {"velocity": "/odom"}), "angular_velocity", "/imu")
     assert_told(refusal(path, TOPICS, landmark_references=None), "landmark_references", "2")
+    without = {name: topic for name, topic in TOPICS.items() if name != "landmarks"}
+    said = refusal(path, without)
+    assert_told(said, "landmark_references", "no topic for landmarks", f"{path.name}.toml")
     with pytest.raises(MeasurementError) as told:
         Recording.from_rosbag(path, TOPICS, **KNOWN | {"vector_references": [[0, 0, 1]]})
     assert_told(str(told.value), "vector_references", "(2, 3)")
