@@ -315,14 +315,14 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
             about,
         )
     fixed = _constant(reference)
-    if q.rotation is not None and not vector.is_up and fixed is not None:
-        points = np.nanmean(np.einsum("kij,kj->ki", q.rotation, vector.body), axis=0)
+    points = None if vector.is_up or fixed is None else _mean_direction(q, vector)
+    if fixed is not None and points is not None:
         points *= np.linalg.norm(fixed) / max(float(np.linalg.norm(points)), 1e-12)
         yield Hypothesis(
             f"the reference of {vector.name} looks wrong: by the truth it points to "
             f"{_numbers(points)}, {_angle_about_z(fixed, points):.0f} deg about the vertical "
             "from there",
-            lambda q: _with_vector(q, i, replace(q.vectors[i], reference=points)),
+            lambda q, points=points: _with_vector(q, i, replace(q.vectors[i], reference=points)),
             4,
             about,
             FITTED,
@@ -468,8 +468,10 @@ def _frame_of_references(q: Quantities) -> tuple[np.ndarray, np.ndarray, str] | 
         reference = None if vector.reference is None else _constant(vector.reference)
         if reference is None or vector.is_up or not reference.any():
             continue
-        b = np.einsum("kij,kj->ki", _of(q.rotation), vector.body)
-        seen.append(np.nanmean(b, axis=0) / np.linalg.norm(reference))
+        mean = _mean_direction(q, vector)
+        if mean is None:
+            continue
+        seen.append(mean / np.linalg.norm(reference))
         known.append(reference / np.linalg.norm(reference))
     places = _places_seen(q) or []
     at = [np.nanmedian(y, axis=0) if np.isfinite(y).any() else np.full(3, np.nan) for y in places]
@@ -490,6 +492,15 @@ def _frame_of_references(q: Quantities) -> tuple[np.ndarray, np.ndarray, str] | 
         offset = own - turn @ mean
         words += f", then shift it by {_numbers(offset)} m"
     return turn, offset, words
+
+
+def _mean_direction(q: Quantities, vector: Vector) -> np.ndarray | None:
+    """Mean (3,) of what is measured of a vector, inertial frame; None without a truth there."""
+    if q.rotation is None:
+        return None
+    seen = np.einsum("kij,kj->ki", q.rotation, vector.body)
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    return np.mean(seen, axis=0) if len(seen) else None
 
 
 def _constant(reference: np.ndarray) -> np.ndarray | None:

@@ -15,7 +15,13 @@ from posegsa.arguments import check_type
 from posegsa.errors import PosegsaWarning, RecordingError
 from posegsa.model.measurements import Measurements, checked_arrays, finite_array, unmasked
 from posegsa.recordings.archive import read_npz, write_npz
-from posegsa.recordings.beside import BAG_KEYS, TABLE_KEYS, check_references, read_beside
+from posegsa.recordings.beside import (
+    BAG_KEYS,
+    TABLE_KEYS,
+    check_references,
+    path_beside,
+    read_beside,
+)
 from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.checked_files import as_path, naming
@@ -178,8 +184,12 @@ class Recording:
         linear = np.zeros_like(omega) if velocity is None else velocity
         linear = finite_array("velocity", linear, (samples, 3), finite=False)
         velocities = np.concatenate([omega, linear], axis=1)
-        if np.isinf(velocities).any():
-            raise RecordingError("angular_velocity, velocity: must not be infinite")
+        if infinite := np.argwhere(np.isinf(velocities)).tolist():
+            k, column = infinite[0]
+            name = "angular_velocity" if column < 3 else "velocity"
+            raise RecordingError(
+                f"{name}: must not be infinite, got {velocities[k, column]} at {(k, column % 3)}"
+            )
         found = bridged_samples(
             stamps(time, time_step, samples), velocities, policy=bridge, longest=longest_gap
         )
@@ -339,6 +349,12 @@ class Recording:
         streams, sources, notes = read_rosbag(
             path, found.pop("topics", None), found.pop("stamps", "header")
         )
+        for name in ("vectors", "landmarks"):
+            if name not in streams and (stated := f"{name[:-1]}_references") in found:
+                raise RecordingError(
+                    f"{path}: {stated}, but no topic for {name}; allowed: both, such as "
+                    f'[topics] with {name} = ["/topic"] in {path_beside(path).name}, or neither'
+                )
         if reference is not None:
             if "truth_position" in streams:
                 raise RecordingError(

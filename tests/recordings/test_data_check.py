@@ -411,6 +411,10 @@ def test_a_sensor_that_never_measured_is_reported() -> None:
     landmarks[:, 1] = np.nan
     found = check(Recording.from_arrays(**a | {"landmarks": landmarks})).findings
     assert found == ["landmark 1 has no measurement"]
+    vectors = a["vectors"].copy()
+    vectors[:, 1] = np.nan
+    found = check(Recording.from_arrays(**a | {"vectors": vectors})).findings
+    assert found == ["vector 1 has no measurement"]
 
 
 def driven(shake: float = 0.0, wander: float = 1.0, count: int = 3000) -> Arguments:

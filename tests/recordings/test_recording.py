@@ -169,6 +169,7 @@ def test_what_is_too_long_to_bridge_is_refused(spoil: Any, words: str) -> None:
         ({"time": np.zeros(3, int)}, r"must have the shape \(400,\)"),
         ({"time": None, "time_step": -0.01}, r"time_step:.*positive"),
         ({"velocity": np.zeros((4, 3))}, r"velocity: must have the shape"),
+        ({"velocity": np.full((400, 3), -np.inf)}, r"^velocity: .* infinite, got -inf at \(0, 0\)"),
         ({"vectors": np.zeros((4, 2, 3))}, r"vectors: must have 400 rows.* 4"),
         ({"vector_weights": -1.0}, r"vector_weights:.*not neg"),
         ({"truth_rotation": np.tile(2 * np.eye(3), (400, 1, 1))}, "must be rotations"),
