@@ -192,8 +192,7 @@ class Writer:
 
     def _constant(self, name: str, value: Value) -> str:
         """The statement that gives a value a name."""
-        kind = "int" if _is_predicate(value) else "posegsa_real"
-        statement = f"const {kind} {name} = {self._text(value)[0]};"
+        statement = f"const {kind_of(value)} {name} = {self._text(value)[0]};"
         self._names[id(value)] = name
         return statement
 
@@ -232,8 +231,10 @@ class Writer:
         places = [i for i in sorted(needed) if loop.first <= i < loop.last]
         statements += self._carry(loop, of, places)
         results = [(self._names[id(loop.inputs[i])], loop.results[i - loop.first]) for i in places]
+        outside = dict(self._names)
         writer = type(self)(results, single=self._single, names=self._names, count=self._count)
         body = writer.code()
+        self._names |= outside  # a copy that the body has kept of an input ends with it
         self._functions |= body.functions
         if loop.conditional:
             statements.append(f"if ({self._names[id(loop.inputs[0])]}) {{")
@@ -368,6 +369,11 @@ def literal(number: float | bool | None) -> str:
     if number == int(number) and abs(number) < 1000:
         return str(int(number)) if number >= 0 else f"({int(number)})"
     return f"POSEGSA_C({number!r})"
+
+
+def kind_of(value: Value) -> str:
+    """The type of a value in C."""
+    return "int" if _is_predicate(value) else "posegsa_real"
 
 
 def _is_predicate(value: Value) -> bool:

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from posegsa.export.scalar_c import Code, Writer, margin, wanted_of
+from posegsa.export.scalar_c import Code, Writer, kind_of, margin, wanted_of
 from posegsa.export.scalar_trace import Loop, Value, traced
 
 FEWEST = 8
@@ -338,6 +338,7 @@ class _LoopWriter(Writer):
     def _set(self) -> list[str]:
         """The statements that set the results, all of which have been computed."""
         statements: list[str] = []
+        kinds = {name: kind_of(value) for name, value in self._results}
         pairs = [(name, self._text(value)[0]) for name, value in self._results]
         pairs = [(name, text) for name, text in pairs if name != text]
         for head in dict.fromkeys(_element(name)[0] for name, _ in pairs):
@@ -360,7 +361,7 @@ class _LoopWriter(Writer):
         for name, text in pairs:
             if text in done and not _element(text)[0]:
                 kept = self._numbered("kept")
-                statements.append(f"const posegsa_real {kept} = {text};")
+                statements.append(f"const {kinds[name]} {kept} = {text};")
                 text = kept
             done.add(name)
             scalars.append((name, text))
@@ -370,8 +371,10 @@ class _LoopWriter(Writer):
         """An array for the real numbers that a loop carries, with their first values."""
         real = [i for i in places if not loop.inputs[i].truth]
         statements = super()._carry(loop, of, [i for i in places if loop.inputs[i].truth])
+        if not real:
+            return statements
         texts = [self._text(of[i])[0] for i in real]
-        head, _ = _element(texts[0]) if texts else ("", 0)
+        head, _ = _element(texts[0])
         once = all(of[i].operation and self._uses[id(of[i])] == 1 for i in real)
         same = texts == [f"{head}[{i}]" for i in range(len(texts))]
         if not (once and same and _CARRIED.fullmatch(head) and self._sizes[head] == len(texts)):

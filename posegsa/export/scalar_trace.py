@@ -75,7 +75,7 @@ class Loop:
     results: tuple[Value, ...]
     """What the body hands on to the next turn, one for each carried input."""
     conditional: bool = False
-    """Whether its first input says if there is a turn at all."""
+    """Whether its first input says whether there is a turn at all."""
 
     @property
     def last(self) -> int:
@@ -212,8 +212,8 @@ class _Trace:
     def _branch(self, equation: core.JaxprEqn, given: list[Value]) -> list[Value]:
         """What comes out of a `lax.cond`.
 
-        What its second function returns is computed in any case, and changed to what the first one
-        returns where the condition holds. So the second one should be short.
+        What it returns where the condition does not hold is computed in any case, and replaced
+        where it holds. So that function should be short.
         """
         condition, *operands = given
         branches = equation.params["branches"]
@@ -258,16 +258,13 @@ class _Trace:
         (result,) = equation.outvars
         if getattr(result.aval, "shape", ()):
             refuse(f"a step with the operation {name!r} on arrays", _ALLOWED)
-        if name == "convert_element_type":
-            before, after = not _is_real(equation.invars[0]), _is_truth(result)
-            if before and not _is_real(result):
-                return given[0]  # also as an integer, which says what branch `lax.cond` takes
+        if name == "convert_element_type" and not _is_real(equation.invars[0]):
+            if not _is_real(result):
+                return given[0]  # a truth, also as the integer that chooses a branch of `lax.cond`
+            return self.made("select_n", given[0], self.number(0.0), self.number(1.0))
         _check_kind(name, result)
-        if name == "convert_element_type":
-            if before and not after:
-                return self.made("select_n", given[0], self.number(0.0), self.number(1.0))
-            if after and not before:
-                return self.made("ne", given[0], self.number(0.0))
+        if name == "convert_element_type" and _is_truth(result):
+            return self.made("ne", given[0], self.number(0.0))
         if name in _AS_IT_IS:
             return given[0]
         if name == "integer_pow":

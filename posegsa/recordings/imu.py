@@ -68,8 +68,8 @@ def imu(
         rate: samples per second; or give `time`.
         time: (K,) time stamps: integers in ns, floats in s.
         frame: the inertial frame (`Frame`).
-        more: further arguments of `Recording.from_arrays`, such as name, truth_quaternion, judged,
-            phases or bridge.
+        more: further arguments of `Recording.from_arrays` that do not follow from the signals, such
+            as name, truth_quaternion, judged, phases or bridge.
 
     Raises:
         RecordingError: units look wrong (degrees per second, multiples of g), signals are missing
@@ -85,11 +85,15 @@ def imu(
     acc = finite_array("acc", acc, (len(gyr), 3), finite=False)
     if mag is not None:
         mag = finite_array("mag", mag, (len(gyr), 3), finite=False)
+    for name in _OWN.intersection(more):
+        raise RecordingError(f"{name}: follows from gyr, acc and mag; allowed: imu without it")
     sources = {"angular velocity": "measured (gyroscope)"} | more.pop("sources", {})
+    sensors = {"accelerometer": acc} | ({} if mag is None else {"magnetometer": mag})
     try:
-        return _made(gyr, acc, mag, frame, time=time, sources=sources, **more)
+        return _made(gyr, sensors, frame, time=time, sources=sources, **more)
     except RecordingError as error:
-        raise RecordingError(str(error).replace("angular_velocity, velocity", "gyr")) from None
+        words = str(error).replace("angular_velocity, velocity", "gyr")
+        raise RecordingError(words.replace("angular_velocity", "gyr")) from None
 
 
 def as_imu(recording: Recording, *, frame: Frame = "ENU") -> ImuRecording:
@@ -112,8 +116,7 @@ def as_imu(recording: Recording, *, frame: Frame = "ENU") -> ImuRecording:
     truth = recording.truth
     return _made(
         np.asarray(recording.measurements.angular_velocity),
-        recording.sensors["accelerometer"],
-        recording.sensors.get("magnetometer"),
+        recording.sensors,
         frame,
         name=recording.name,
         time_step=recording.measurements.time_step,
@@ -125,10 +128,17 @@ def as_imu(recording: Recording, *, frame: Frame = "ENU") -> ImuRecording:
     )
 
 
+_OWN = {
+    *("angular_velocity", "velocity", "sensors", "start"),
+    *("vectors", "vector_references", "vector_weights"),
+    *("landmarks", "landmark_references", "landmark_weights"),
+}
+"""Arguments of `Recording.from_arrays` that are made of the signals."""
+
+
 def _made(
     gyr: np.ndarray,
-    acc: np.ndarray,
-    mag: np.ndarray | None,
+    sensors: Mapping[str, np.ndarray],
     frame: Frame,
     *,
     sources: Mapping[str, str],
@@ -137,21 +147,22 @@ def _made(
     """A checked recording of signals (K, 3), with further arguments of `Recording.from_arrays`."""
     if frame not in UP:
         raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
-    field = np.full_like(acc, math.nan) if mag is None else mag
+    acc = sensors["accelerometer"]
+    mag = sensors.get("magnetometer", np.full_like(acc, math.nan))
     found = Recording.from_arrays(
         angular_velocity=gyr,
-        vectors=np.stack([acc, field], axis=1),
+        vectors=np.stack([acc, mag], axis=1),
         vector_references=references(frame),
-        start=Start(_first_attitude(acc, mag, frame), np.zeros(3), np.zeros(6)),
-        sources=dict(sources) | _in_words(acc, mag),
-        sensors={"accelerometer": acc} | ({} if mag is None else {"magnetometer": mag}),
+        sensors=sensors,
+        sources=sources,
         **more,
     )
-    acc, gyr = found.sensors["accelerometer"], np.asarray(found.measurements.angular_velocity)
-    check_units(gyr, acc, found.time_step)
-    return ImuRecording(
-        **{each.name: getattr(found, each.name) for each in fields(found)}, frame=frame
-    )
+    acc, mag = found.sensors["accelerometer"], found.sensors.get("magnetometer")
+    check_units(np.asarray(found.measurements.angular_velocity), acc, found.time_step)
+    own = {each.name: getattr(found, each.name) for each in fields(found)}
+    own["start"] = Start(_first_attitude(acc, mag, frame), np.zeros(3), np.zeros(6))
+    own["sources"] = found.sources | _in_words(acc, mag)
+    return ImuRecording(**own, frame=frame)
 
 
 def as_read_by(kind: str, recording: Recording) -> Recording:

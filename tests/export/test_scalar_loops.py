@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers.compiled_c import COMPILERS, WARNINGS, needs_cc, sanitizers
 
-from posegsa.export.scalar_c import Code
+from posegsa.export.scalar_c import Code, written
 from posegsa.export.scalar_loops import written_in_loops
 
 HEAD = """
@@ -154,7 +154,20 @@ def branch_in_a_loop(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
     return jax.lax.scan(turn, x, jnp.stack(y))[0], y
 
 
+def only_truths(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """Branches and loops that carry truths alone, two of which change places."""
+    above = jax.lax.cond(x[0] > y[0], lambda a, b: a > b, lambda a, b: a < -1, x[1], x[2])
+
+    def turn(carried: tuple, z: jax.Array) -> tuple[tuple, None]:
+        a, b = carried
+        return jax.lax.cond(z > 0, lambda p: (p[1], p[0]), lambda p: p, (a, b)), None
+
+    first, second = jax.lax.scan(turn, (above, x[3] > 0), jnp.stack(y))[0]
+    return (jax.lax.select(first, x[0], x[1]), jax.lax.select(second, x[2], x[3]), *x[2:]), y
+
+
 BY_HAND = [
+    only_truths,
     changed_if,
     either,
     branch_in_a_loop,
@@ -216,10 +229,10 @@ def made_up(seed: int) -> Callable[[Scalars, Scalars], tuple[Scalars, Scalars]]:
 
 @needs_cc
 def test_loops_and_orders_of_every_kind_compute_what_jax_does(tmp_path):
-    codes = [written_in_loops(f, (X, Y), (X, Y)) for f in BY_HAND]
-    got = computed(tmp_path, codes, GIVEN)
     want = np.stack([expected(f, GIVEN) for f in BY_HAND])
-    np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
+    for write in (written_in_loops, written):
+        got = computed(tmp_path, [write(f, (X, Y), (X, Y)) for f in BY_HAND], GIVEN)
+        np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
 
 
 @needs_cc
