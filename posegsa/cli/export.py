@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from posegsa.cli.options import RECORDING, add_run, read, result_of
+from posegsa.cli.options import RECORDING, add_frame, add_run, read, result_of
 from posegsa.errors import PosegsaError
 from posegsa.export.formats import FORMATS, export
 from posegsa.progress import say
@@ -23,6 +23,7 @@ def add(commands) -> None:
     add_run(parser)
     words = f"the filter knows the vectors and landmarks of {RECORDING}"
     parser.add_argument("--recording", metavar="FILE", help=words)
+    add_frame(parser)
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
     parser.add_argument("--out", metavar="FILE", help="file to write (default: standard output)")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
@@ -34,6 +35,8 @@ def run(options: argparse.Namespace) -> int:
     """Write a finished run in a format."""
     recording = None if options.recording is None else read([options.recording], None)[0]
     result = result_of(options, recording)
+    if options.frame is not None:
+        result = result.in_frame(options.frame)
     text = export(result, options.format, options.name)
     if FORMATS[options.format].references and result.knows_scenario:
         known = result.known_sensors

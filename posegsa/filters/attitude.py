@@ -97,6 +97,7 @@ INITIAL_INCLINATION = 0.35
 """Standard deviation of the inclination from one acceleration of a moving body, by axis [rad]."""
 INITIAL_HEADING = 1.0
 """Standard deviation of the heading from one sample of the field [rad]."""
+INITIAL_DEVIATIONS = (INITIAL_INCLINATION, INITIAL_INCLINATION, INITIAL_HEADING)
 INITIAL_VELOCITY = 1.0
 """Standard deviation of the velocity at the start [m/s]."""
 REST_VELOCITY = 0.05
@@ -111,6 +112,11 @@ LARGEST_BIAS = float(np.deg2rad(6.0))
 """Maximum bias of a gyroscope [rad/s]; above it the body turns at a constant rate."""
 FIELD_NOISE_TIME = 0.1
 """Time constant of the low-pass filter of d, so that noise is no disturbance [s]."""
+LONGEST_PAUSE = 0.25
+"""Time between two samples [s] beyond which the attitude is found anew: nothing tells how the body
+turned meanwhile."""
+LONGEST_REFUSAL = 1.0
+"""Time [s] after which a field that is always too long is no outlier."""
 LITTLE = 0.5
 """Angle between two samples [rad] up to which a short series gives the rotation."""
 ALL_TURNING = 0.5
@@ -188,6 +194,8 @@ class AttitudeState(NamedTuple):
     """1 once an acceleration has been seen, else 0."""
     field_age: Array
     """Time since the first field [s]; below 0 before it."""
+    field_gap: Array
+    """Time since the last field that was used [s], at most LONGEST_REFUSAL."""
     slow_turning: Vec3
     """Mean of the gyroscope over REST_MEAN [rad/s], body frame."""
     slow_force: Vec3
@@ -258,8 +266,7 @@ class AttitudeFilter:
         _check_vectors(sensors.vectors)
         zero = jnp.zeros_like(initial.place[0])
         zeros = (zero, zero, zero)
-        deviations = [INITIAL_INCLINATION] * 2 + [INITIAL_HEADING]
-        variances = [zero + s * s for s in deviations]
+        variances = [zero + s * s for s in INITIAL_DEVIATIONS]
         variances += [zero + self.numbers.initial_bias * self.numbers.initial_bias] * 3
         variances += [zero + INITIAL_VELOCITY * INITIAL_VELOCITY] * 2
         return AttitudeState(
@@ -276,6 +283,7 @@ class AttitudeFilter:
             field_belief=zero,
             upright=zero,
             field_age=zero - 1,
+            field_gap=zero,
             slow_turning=zeros,
             slow_force=zeros,
             still_time=zero,
@@ -310,24 +318,31 @@ class AttitudeFilter:
         level = (of_force > 0) & (state.upright < 1)
         upright = maximum(state.upright, choose(of_force > 0, jnp.ones_like(dt), 0.0))
         longest = numbers.outlier * numbers.outlier * (parts[0] * parts[0] + parts[1] * parts[1])
-        unseen = state.field_age < 0
-        usable = (dot(m, m) < longest) | unseen
+        # A field that is much longer for long is no outlier: the first one was too short.
+        anew = (state.field_age < 0) | (
+            (dot(m, m) >= longest) & (state.field_gap >= LONGEST_REFUSAL)
+        )
+        usable = (dot(m, m) < longest) | anew
         of_field = choose(usable & (upright > 0), field_seen.factor, 0.0)
-        first = (of_field > 0) & unseen
+        first = (of_field > 0) & anew
+        # A sample says nothing of the time after it, once that is long.
+        paused, lasting = dt > LONGEST_PAUSE, minimum(dt, LONGEST_PAUSE)
         q = only_if(level | first, lambda q: _set(q, level, first, axes, a, m), q)
 
         R = _in(axes, rows(q))
-        still, slow_turning, slow_force = _stillness(state, gyr, force.measured, of_force, dt)
-        still_time = choose(still, state.still_time + dt, 0.0)
+        still, slow_turning, slow_force = _stillness(state, gyr, a, of_force, lasting)
+        still_time = choose(still, state.still_time + lasting, 0.0)
         rests = still_time >= REST_TIME
         state = state._replace(upright=upright)
-        state = self._with_field(state, R, omega, m, of_field, dt)
+        # A slow magnetometer's sample speaks for the time since the one before.
+        since = lasting + minimum(state.field_gap, LONGEST_PAUSE)
+        state = self._with_field(state, R, omega, m, of_field, since, first)
 
         # Corrections, each by a scalar measurement.
         correction = (jnp.zeros_like(dt),) * STATES
         found = state.covariance, correction
         spread = choose(rests, jnp.full_like(dt, REST_VELOCITY), numbers.velocity)
-        felt = choose(of_force > 0, dt, 0.0)
+        felt = choose(of_force > 0, lasting, 0.0)
         for i in range(2):
             found = _measured(found, VELOCITY + i, -state.velocity[i], spread * spread, felt)
         f, (level_mean, upwards) = state.field, state.parts
@@ -336,12 +351,12 @@ class AttitudeFilter:
         safe = choose(known, level_length, 1.0)
         dip = upwards / choose(known, level_mean, 1.0)
         tilt = _entry(state.covariance, EAST, EAST) + _entry(state.covariance, NORTH, NORTH)
-        seen = choose(known, dt * state.field_belief * of_field, 0.0)
+        seen = choose(known, since * state.field_belief * of_field, 0.0)
         tilted = 0.5 * numbers.inclination_in_heading * dip * dip * tilt
         noise = numbers.heading * numbers.heading + seen * tilted
         behind = choose(f[0] >= 0, jnp.ones_like(dt), -1.0)
         found = _measured(found, UP, choose(f[1] > 0, f[0] / safe, behind), noise, seen)
-        found = only_if(rests, lambda found: self._at_rest(found, omega, dt), found)
+        found = only_if(rests, lambda found: self._at_rest(found, omega, lasting), found)
         covariance, x = found
         angle = (x[0], x[1], x[2])
         # The rotation by 2 atan(|x| / 2) about x: to third order that by x, without a series.
@@ -367,17 +382,20 @@ class AttitudeFilter:
         covariance = tuple(
             (row[0] + dt * noise, *row[1:]) for row, noise in zip(covariance, noises, strict=True)
         )
-        return state._replace(
+        gap = minimum(state.field_gap + dt, LONGEST_REFUSAL)
+        after = state._replace(
             estimate=state.estimate._replace(attitude=next_attitude, bias_angular=bias),
             at_sample=q,
             last_step=dt,
             velocity=v,
             covariance=covariance,
             field=f,
+            field_gap=choose(of_field > 0, jnp.zeros_like(dt), gap),
             slow_turning=slow_turning,
             slow_force=slow_force,
             still_time=still_time,
-        ), Record()
+        )
+        return only_if(paused, _after_a_pause, after), Record()
 
     def _at_rest(self, found: "Found", omega: Vec3, dt: Array) -> "Found":
         """After what the gyroscope measures of its bias at rest.
@@ -399,7 +417,8 @@ class AttitudeFilter:
         omega: Vec3,
         measured: Vec3,
         factor: Array,
-        dt: Array,
+        since: Array,
+        first: Array,
     ) -> AttitudeState:
         """The means of the field, and the belief in it, after a sample.
 
@@ -409,12 +428,12 @@ class AttitudeFilter:
             omega: angular velocity without its bias [rad/s].
             measured: the magnetic field, body frame.
             factor: 0 where it is missing.
-            dt: to the next sample [s].
+            since: time that the sample speaks for [s].
+            first: whether the means begin with it.
         """
-        numbers, seen = self.numbers, factor > 0
-        first = seen & (state.field_age < 0)
-        age = maximum(state.field_age, 0.0)
-        time = dt * factor
+        numbers, seen, dt = self.numbers, factor > 0, since
+        age = choose(first, jnp.zeros_like(dt), state.field_age)
+        time = since * factor
         slow = unrotate(R, state.field)
         late = choose(first, jnp.zeros_like(dt), numbers.magnetometer_delay)
         m = subtract(subtract(measured, state.iron), scale(late, cross(omega, slow)))
@@ -440,7 +459,8 @@ class AttitudeFilter:
         share = maximum(time / (numbers.field_time + time), time / (age + time + 1e-9))
         to_iron = minimum(time * turning * follow / numbers.iron_time, jnp.ones_like(dt))
         weight = time * turning * follow
-        parts_time = minimum(state.parts_time + weight, numbers.field_memory)
+        before = choose(first, jnp.zeros_like(dt), state.parts_time)
+        parts_time = minimum(before + weight, numbers.field_memory)
         to_parts = weight / (parts_time + 1e-6)
         changed = state._replace(
             field=add(state.field, scale(share, residual)),
@@ -455,9 +475,28 @@ class AttitudeFilter:
             parts_time=parts_time,
             off=(off[0], off[1]),
             field_belief=belief,
-            field_age=age + dt,
+            field_age=age + since,
         )
         return jax.tree.map(lambda new, old: choose(seen, new, old), changed, state)
+
+
+def _after_a_pause(state: AttitudeState) -> AttitudeState:
+    """The state at the first sample after a pause: what is known of the attitude is forgotten."""
+    zero = jnp.zeros_like(state.last_step)
+    known = [[_entry(state.covariance, i, j) for j in range(STATES)] for i in range(STATES)]
+    anew = (*INITIAL_DEVIATIONS, None, None, None, INITIAL_VELOCITY, INITIAL_VELOCITY)
+    for i, deviation in enumerate(anew):
+        if deviation is not None:
+            for j in range(STATES):
+                known[i][j] = known[j][i] = zero
+            known[i][i] = zero + deviation * deviation
+    return state._replace(
+        velocity=(zero, zero),
+        covariance=tuple(tuple(known[i][i:]) for i in range(STATES)),
+        upright=zero,
+        field_age=zero - 1,
+        still_time=zero,
+    )
 
 
 def _check_vectors(count: int) -> None:

@@ -12,6 +12,8 @@ from pydantic import AfterValidator
 from posegsa.config import Experiment
 from posegsa.filters.observer import FilterSettings
 from posegsa.model.measurements import Measurements
+from posegsa.recordings.frames import Frame
+from posegsa.recordings.imu import references
 from posegsa.recordings.recording import Recording
 from posegsa.settings.fields import NonNegative
 
@@ -72,6 +74,17 @@ def of_scenario(experiment: Experiment) -> KnownSensors:
         landmarks=[one.position for one in scenario.landmarks],
         landmark_weights=[1.0] * len(scenario.landmarks),
         attitude_only=False,
+    )
+
+
+def of_frame(frame: Frame) -> KnownSensors:
+    """Specific force and magnetic field in an inertial frame."""
+    return KnownSensors(
+        vectors=[(float(x), float(y), float(z)) for x, y, z in references(frame)],
+        vector_weights=[1.0, 1.0],
+        landmarks=[],
+        landmark_weights=[],
+        attitude_only=True,
     )
 
 

@@ -25,7 +25,7 @@ from posegsa.judging.description import (
     rules_text,
     tuned_experiment,
 )
-from posegsa.judging.known_sensors import KnownSensors, of_recordings, of_scenario
+from posegsa.judging.known_sensors import KnownSensors, of_frame, of_recordings, of_scenario
 from posegsa.judging.on_recordings import OnRecordings
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.model.estimate import checked_state
@@ -33,6 +33,7 @@ from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.optimisers import History
+from posegsa.recordings.frames import UP, Frame
 from posegsa.recordings.imu import as_read_by, references
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
@@ -202,6 +203,24 @@ class Result:
         sensors = of_recordings([as_read_by(self.filter.kind, recording)])
         if sensors is None:
             refuse(f"{recording.name}: its references move", "the same in all samples")
+        return self._with_sensors(sensors)
+
+    def in_frame(self, frame: Frame) -> "Result":
+        """The same filter for inertial sensors in another inertial frame, for exports and streams.
+
+        Args:
+            frame: "ENU", "NED" or "NWU".
+
+        Raises:
+            ArgumentError: The filter reads no inertial sensors, or there is no such frame.
+        """
+        if self.filter.kind != "imu":
+            refuse(f"a frame, with a filter of kind {self.filter.kind!r}", "with imu")
+        if frame not in UP:
+            refuse(f"frame = {frame!r}", ", ".join(UP))
+        return self._with_sensors(of_frame(frame))
+
+    def _with_sensors(self, sensors: KnownSensors) -> "Result":
         judged = self.on_recordings or OnRecordings(training=[], held_out=[])
         return replace(self, on_recordings=replace(judged, sensors=sensors))
 

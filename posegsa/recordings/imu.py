@@ -15,6 +15,7 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_number, check_type
 from posegsa.errors import RecordingError
+from posegsa.filters.attitude import LONGEST_PAUSE
 from posegsa.model.measurements import finite_array
 from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame
 from posegsa.recordings.imu_advice import advice
@@ -147,6 +148,9 @@ def _made(
     """A checked recording of signals (K, 3), with further arguments of `Recording.from_arrays`."""
     if frame not in UP:
         raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
+    more.setdefault(
+        "weights_by_rate", False
+    )  # the filter knows how long a slow sensor's samples stand
     acc = sensors["accelerometer"]
     mag = sensors.get("magnetometer", np.full_like(acc, math.nan))
     found = Recording.from_arrays(
@@ -157,6 +161,11 @@ def _made(
         sources=sources,
         **more,
     )
+    if found.time_step > LONGEST_PAUSE:
+        raise RecordingError(
+            f"time: {1 / found.time_step:.2g} samples a second; allowed for an attitude filter: "
+            f"{1 / LONGEST_PAUSE:g} or more"
+        )
     acc, mag = found.sensors["accelerometer"], found.sensors.get("magnetometer")
     check_units(np.asarray(found.measurements.angular_velocity), acc, found.time_step)
     own = {each.name: getattr(found, each.name) for each in fields(found)}

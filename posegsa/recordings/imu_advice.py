@@ -2,13 +2,14 @@
 
 The samples are divided into parts of PART seconds. In a part the sensor rests if gyroscope and
 accelerometer stay near their means, by the thresholds of the attitude filter (`filters.attitude`).
+What the gyroscope shows there is a bias if the field, or without one gravity, does not turn.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from posegsa.filters.attitude import LARGEST_BIAS, REST_SHAKING, REST_TURNING
+from posegsa.filters.attitude import REST_SHAKING, REST_TURNING
 from posegsa.recordings.frames import GRAVITY
 
 PART = 0.5
@@ -35,18 +36,17 @@ def advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, time_step: 
 
 def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: int) -> Iterator[str]:
     turning, force = _parts(gyr, length), _parts(acc, length)
-    bias, pull = turning.mean(axis=1), force.mean(axis=1)
-    still = (
-        (_length(turning - bias[:, None]).max(axis=1) < REST_TURNING)
-        & (_length(force - pull[:, None]).max(axis=1) < REST_SHAKING)
-        & (_length(bias) < LARGEST_BIAS)
-    )
+    bias, pull = _mean(turning), _mean(force)
+    still = (_spread(turning, bias) < REST_TURNING) & (_spread(force, pull) < REST_SHAKING)
+    field = None if mag is None else _parts(mag, length)
+    seen = pull if field is None else _mean(field)
     if np.count_nonzero(still) >= FEWEST:
         speed = _length(np.median(bias[still], axis=0))
-        if speed >= BIAS_OFF:
+        if speed >= BIAS_OFF and _turned(seen, still) < 0.3 * speed * PART:
             yield (
-                f"the gyroscope shows {np.degrees(speed):.1f} deg/s at rest: subtract it, or let "
-                f"the filter expect it (--set filter.initial_bias={2 * speed:.2g})"
+                f"the gyroscope shows {np.degrees(speed):.1f} deg/s at rest: subtract it, or have "
+                f"the filter expect it (filter.initial_bias = {2 * speed:.2g}, in a file from "
+                "`posegsa config show imu`)"
             )
         g = float(np.median(_length(pull[still])))
         if abs(g / GRAVITY - 1) >= FORCE_OFF:
@@ -54,11 +54,10 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
                 f"the accelerometer shows {g:.2f} m/s^2 at rest, {100 * abs(g / GRAVITY - 1):.0f} "
                 f"% {'more' if g > GRAVITY else 'less'} than gravity: calibrate it"
             )
-    if mag is None:
+    if field is None:
         return
-    field = _length(_parts(mag, length)).mean(axis=1)
-    seen = np.isfinite(field)
-    resting, moving = field[seen & still], field[seen & ~still]
+    size = _mean(_length(field)[..., None])[:, 0]
+    resting, moving = (size[np.isfinite(size) & which] for which in (still, ~still))
     cure = "calibrate the magnetometer in its place, or remove the magnet that is attached"
     if min(len(resting), len(moving)) >= FEWEST:
         ratio = float(np.median(moving) / np.median(resting))
@@ -71,6 +70,30 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
         if (high - low) / (2 * middle) >= FIELD_OFF:
             share = 100 * (high - low) / (2 * middle)
             yield f"the field's length varies by {share:.0f} % while the body moves: {cure}"
+
+
+def _turned(seen: np.ndarray, still: np.ndarray) -> float:
+    """Median angle [rad] by which a direction (parts, 3) turns between neighbours at rest."""
+    known = still & np.isfinite(seen).all(axis=1) & (_length(seen) > 0)
+    pairs = known[1:] & known[:-1]
+    if not pairs.any():
+        return 0.0
+    unit = seen / np.where(known, _length(seen), 1.0)[:, None]
+    off = _length(np.cross(unit[1:], unit[:-1]))[pairs]
+    return float(np.median(np.arcsin(np.minimum(off, 1.0))))
+
+
+def _mean(parts: np.ndarray) -> np.ndarray:
+    """Means (parts, d) of what is finite; NaN where nothing is."""
+    known = np.isfinite(parts).all(axis=-1, keepdims=True)
+    count = known.sum(axis=1)
+    return np.where(known, parts, 0.0).sum(axis=1) / np.where(count > 0, count, np.nan)
+
+
+def _spread(parts: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Largest distance (parts,) from the mean, of what is finite; infinite where nothing is."""
+    off = _length(parts - mean[:, None])
+    return np.where(np.isnan(mean[:, 0]), np.inf, np.fmax.reduce(off, axis=1))
 
 
 def _parts(signal: np.ndarray, length: int) -> np.ndarray:

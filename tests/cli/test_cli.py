@@ -566,3 +566,10 @@ def test_a_path_that_is_too_long_is_a_line(arguments, said, monkeypatch, capsys)
     printed = capsys.readouterr().err
     assert printed.startswith(f"posegsa: {'a' * 300}")
     assert said in printed
+
+
+def test_export_writes_the_frame_of_an_attitude_filter_into_its_step(capsys):
+    assert main(["export", "imu", "--format", "c", "--frame", "NED"]) == 0
+    assert "{0, 0, POSEGSA_C(-9.81)},\n    {1, 0, 0}" in capsys.readouterr().out
+    assert main(["export", "kalman", "--format", "c", "--frame", "NED"]) == 2
+    assert "allowed: with imu" in capsys.readouterr().err

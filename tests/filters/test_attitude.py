@@ -111,6 +111,22 @@ def test_it_computes_what_the_reference_in_numpy_computes(interval: Interval, re
     seen["mag"][400:430] = np.nan
     seen["mag"][500:600] += [0.3, 0.0, 0.1]
     seen["mag"][700] = 30.0
+    compare(interval, seen)
+
+
+@pytest.mark.parametrize("interval", ["before", "after"])
+def test_it_computes_what_the_reference_computes_through_what_is_rare(interval: Interval) -> None:
+    """A first field that is far too short, a pause, and a magnetometer that is slow."""
+    steps = np.full(900, 0.01)
+    steps[450], steps[600] = 0.6, 0.2
+    seen = sensed(12.0, rest=1.0, seed=3, steps=steps)
+    seen["mag"][:5] *= 0.02
+    seen["mag"][np.arange(900) % 4 != 0] = np.nan
+    compare(interval, seen)
+
+
+def compare(interval: Interval, seen: dict[str, np.ndarray]) -> None:
+    """The filter and the reference in NumPy, on one sensor's samples."""
     last, found = ran(made(interval), seen)
     expected = attitudes(
         NUMBERS,
@@ -223,3 +239,22 @@ def test_upside_down_is_a_start_like_any_other() -> None:
     flipped["mag"][:] = [0.0, -0.4, 0.6]
     _, found = ran(made(), flipped)
     np.testing.assert_allclose(found["R"][-1], np.diag([1.0, -1.0, -1.0]), atol=0.02)
+
+
+def test_a_first_field_that_is_too_short_is_replaced_after_a_second() -> None:
+    seen = sensed(20.0)
+    seen["mag"][0] = 0.01 * seen["mag"][0, ::-1]
+    _, found = ran(made(), seen)
+    assert degrees(found["R"], seen["R"][: len(found["R"])])[-500:].max() < 1.5
+
+
+def test_after_a_pause_the_attitude_is_found_anew_and_said_to_be_uncertain() -> None:
+    steps = np.full(3000, 0.01)
+    steps[1500] = 3.0
+    seen = sensed(33.0, steps=steps)
+    state, _ = ran(made(), {name: a[:1501] for name, a in seen.items()})
+    assert np.degrees(state.heading_deviation) > 45
+    _, found = ran(made(), seen)
+    error = degrees(found["R"], seen["R"][: len(found["R"])])
+    assert error[1490:1500].max() < 1.0
+    assert error[-300:].max() < 2.0

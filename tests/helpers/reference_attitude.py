@@ -37,20 +37,22 @@ def attitudes(
     P = np.diag([0.35**2] * 2 + [1.0] + [n["initial_bias"] ** 2] * 3 + [1.0] * 2)
     R = shown = np.eye(3)
     b, v = np.zeros(3), np.zeros(2)
-    f = c = None
+    f: Any = None
+    c = np.zeros(3)
     parts = off = np.zeros(2)
-    parts_time = age = still = last = 0.0
+    parts_time = age = still = last = gap = 0.0
     belief = 0.0
     slow: Any = None
     found: dict[str, list[Any]] = {"R": [shown], "b": [b], "belief": [0.0], "rest": [False]}
     for w_m, a, m, dt in zip(gyr, acc, mag, steps, strict=True):
         R = R @ Rotation.from_rotvec(last * (w_m - b)).as_matrix() if before else shown
+        lasting = min(dt, 0.25)
         felt = bool(np.isfinite(a).all() and np.linalg.norm(a) < n["outlier"] * gravity)
         if felt and slow is None:
             R = smallest(R @ a, UP) @ R
             slow = w_m, a
         elif slow is not None:
-            k = dt / (0.5 + dt)
+            k = lasting / (0.5 + lasting)
             slow = slow[0] + k * (w_m - slow[0]), slow[1] + k * (a - slow[1]) if felt else slow[1]
         w = w_m - b
         is_still = (
@@ -59,39 +61,45 @@ def attitudes(
             and (not felt or np.linalg.norm(a - slow[1]) < 0.5)
             and np.linalg.norm(slow[0]) < np.deg2rad(6)
         )
-        still = still + dt if is_still else 0.0
+        still = still + lasting if is_still else 0.0
         seen = slow is not None and bool(np.isfinite(m).all())
+        anew = f is None
         if seen and f is not None:
-            seen = bool(np.linalg.norm(m) < n["outlier"] * np.linalg.norm(parts))
+            fits = bool(np.linalg.norm(m) < n["outlier"] * np.linalg.norm(parts))
+            anew = not fits and gap >= 1.0
+            seen = fits or anew
+        since = lasting + min(gap, 0.25)
+        gap = 0.0 if seen else gap + dt
         if seen:
-            first = f is None
+            first = anew
             if first:
+                parts_time = age = 0.0
                 level = R @ m - (R @ m)[2] * UP
                 R = smallest(level, NORTH) @ R
-                f, c = np.zeros(3), np.zeros(3)
+                f = np.zeros(3)
             late = 0.0 if first else n["magnetometer_delay"]
             earthly = R @ (m - c - late * np.cross(w, R.T @ f))
             now = np.array([np.hypot(earthly[0], earthly[1]), earthly[2]])
             if first:
                 parts = now
-            off = off + dt / (0.1 + dt) * ((now - parts) / np.linalg.norm(parts) - off)
+            off = off + since / (0.1 + since) * ((now - parts) / np.linalg.norm(parts) - off)
             belief = 1 / (1 + (off @ off) / n["field_tolerance"] ** 2)
             follow = n["disbelieved"] + (1 - n["disbelieved"]) * belief
             gate = min(np.linalg.norm(w) / 0.5, 1.0) * follow
             residual = earthly - f
-            f = f + max(dt / (n["field_time"] + dt), dt / (age + dt + 1e-9)) * residual
+            f = f + max(since / (n["field_time"] + since), since / (age + since + 1e-9)) * residual
             if not first:
-                c = c + min(dt * gate / n["iron_time"], 1.0) * R.T @ residual
-            parts_time = min(parts_time + dt * gate, n["field_memory"])
-            parts = parts + dt * gate / (parts_time + 1e-6) * (now - parts)
-            age = age + dt
+                c = c + min(since * gate / n["iron_time"], 1.0) * R.T @ residual
+            parts_time = min(parts_time + since * gate, n["field_memory"])
+            parts = parts + since * gate / (parts_time + 1e-6) * (now - parts)
+            age = age + since
         resting = still >= 1.5
         rows, residuals, variances = [], [], []
         if felt:
             spread = 0.05 if resting else n["velocity"]
             rows += [np.eye(8)[6], np.eye(8)[7]]
             residuals += [-v[0], -v[1]]
-            variances += [spread**2 / dt] * 2
+            variances += [spread**2 / lasting] * 2
         if seen:
             length = np.hypot(f[0], f[1])
             sine = f[0] / length if f[1] > 0 else (1.0 if f[0] >= 0 else -1.0)
@@ -100,11 +108,11 @@ def attitudes(
             )
             rows.append(np.eye(8)[2])
             residuals.append(sine)
-            variances.append(n["heading"] ** 2 / (dt * belief) + tilt)
+            variances.append(n["heading"] ** 2 / (since * belief) + tilt)
         if resting:
             rows += list(np.eye(8)[3:6])
             residuals += list(w)
-            variances += [n["rest_bias"] ** 2 / dt] * 3
+            variances += [n["rest_bias"] ** 2 / lasting] * 3
         x = np.zeros(8)
         if rows:
             H = np.array(rows)
@@ -115,9 +123,9 @@ def attitudes(
         R, b, v = turn @ R, b + x[3:6], v + x[6:]
         if f is not None:
             f = turn @ f
-        pull = dt if felt else 0.0
+        pull = lasting if felt else 0.0
         if felt:
-            v = v + dt * (R @ a)[:2]
+            v = v + lasting * (R @ a)[:2]
         speed = np.linalg.norm(w)
         shown = R @ Rotation.from_rotvec(dt * (w_m - b)).as_matrix()
         F = np.eye(8)
@@ -128,6 +136,11 @@ def attitudes(
         densities = [noise, noise, noise + more, *[n["angular_walk"] ** 2] * 3, *[0.03**2] * 2]
         P = F @ P @ F.T + dt * np.diag(densities)
         last = dt
+        if dt > 0.25:
+            f, slow, still, v = None, None, 0.0, np.zeros(2)
+            kept = P[3:6, 3:6]
+            P = np.diag([0.35**2] * 2 + [1.0] + [0.0] * 3 + [1.0] * 2)
+            P[3:6, 3:6] = kept
         for name, value in (("R", shown), ("b", b), ("belief", belief), ("rest", resting)):
             found[name].append(value)
     return {name: np.array(values) for name, values in found.items()} | {"P": P}

@@ -44,7 +44,28 @@ def test_a_gyroscope_that_shows_motion_at_rest_gets_a_setting() -> None:
     good = well()
     (words,) = said(good["gyr"] + np.deg2rad([3.0, 0.0, 0.0]), good["acc"], good["mag"])
     assert "3.0 deg/s at rest" in words
-    assert "filter.initial_bias=0.1" in words
+    assert "filter.initial_bias = 0.1" in words
+
+
+def test_a_large_bias_is_told_and_a_steady_rotation_is_none() -> None:
+    good = well()
+    (words,) = said(good["gyr"] + np.deg2rad([0.0, 20.0, 0.0]), good["acc"], good["mag"])
+    assert "20.0 deg/s at rest" in words
+    count, speed = round(20 * RATE), np.deg2rad(5.0)
+    angle = speed * np.arange(count) / RATE
+    turned = np.stack([np.cos(angle), -np.sin(angle), 0 * angle - 1.5], axis=1)
+    still = np.ones((count, 1))
+    assert said(still * [0, 0, speed], still * [0, 0, 9.81], turned) == []
+
+
+def test_a_sensor_that_misses_most_samples_gets_the_same_advice() -> None:
+    good = well()
+    size = np.linalg.norm(good["mag"][0])
+    mag = good["mag"] + 0.4 * size * np.eye(3)[0]
+    mag[np.arange(len(mag)) % 4 != 0] = np.nan
+    good["acc"][::2] = np.nan
+    (words,) = said(good["gyr"], good["acc"], mag)
+    assert "field's length varies" in words
 
 
 def test_an_accelerometer_out_of_scale_is_told() -> None:
