@@ -4,7 +4,7 @@ All are compiled with the same options and run on the same samples: posegsa's he
 export imu` writes it, VQF's own C++ (from the package `vqf`), and the filters of Madgwick and of
 Mahony written from their papers (`benchmarks/attitude`). Printed for each:
 
-1. on this machine, nanoseconds a sample: best and median of many passes over the trial, in turns;
+1. on this machine, nanoseconds of CPU a sample: best and median of many passes over the trial, in turns;
    bytes of code and of state; the total RMSE on the trial;
 2. on a Cortex-M4F, emulated by QEMU, instructions a sample, code and stack. In single precision VQF
    still filters the acceleration in double precision, which a Cortex-M4F computes in software.
@@ -189,6 +189,7 @@ def tables(path: Path) -> str:
         folder = Path(name)
         (folder / "posegsa.h").write_text(posegsa.export_c(posegsa.configured("imu")))
         programs = [built(one, folder) for one in CONTENDERS]
+        codes = [f"{code_size(one, folder, '')} B" for one in CONTENDERS]
         times: list[list[float]] = [[] for _ in CONTENDERS]
         ends: list[list[str]] = []
         for turn in range(TURNS):
@@ -198,8 +199,7 @@ def tables(path: Path) -> str:
                 if turn == 0:
                     errors = attitude_errors(matrices(q.astype(float)), recording.truth.rotation)
                     error = rmse(errors[0], recording.judged)
-                    code = code_size(one, folder, "")
-                    ends.append([f"{code} B", f"{size} B", f"{error:.2f} deg"])
+                    ends.append([codes[i], f"{size} B", f"{error:.2f} deg"])
         here = [
             [one.name, one.real, f"{min(t):.0f} ns ({statistics.median(t):.0f} ns)", *end]
             for one, t, end in zip(CONTENDERS, times, ends, strict=True)

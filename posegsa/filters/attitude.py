@@ -395,7 +395,8 @@ class AttitudeFilter:
             slow_force=slow_force,
             still_time=still_time,
         )
-        return only_if(paused, _after_a_pause, after), Record()
+        forgotten = _after_a_pause(after)
+        return jax.tree.map(partial(choose, paused), forgotten, after), Record()
 
     def _at_rest(self, found: "Found", omega: Vec3, dt: Array) -> "Found":
         """After what the gyroscope measures of its bias at rest.
