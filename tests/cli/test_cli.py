@@ -568,6 +568,7 @@ def test_a_path_that_is_too_long_is_a_line(arguments, said, monkeypatch, capsys)
     assert said in printed
 
 
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")  # JAX has already started
 def test_export_writes_the_frame_of_an_attitude_filter_into_its_step(capsys):
     assert main(["export", "imu", "--format", "c", "--frame", "NED"]) == 0
     assert "{0, 0, POSEGSA_C(-9.81)},\n    {1, 0, 0}" in capsys.readouterr().out
