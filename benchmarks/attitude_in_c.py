@@ -4,8 +4,8 @@ All are compiled with the same options and run on the same samples: posegsa's he
 export imu` writes it, VQF's own C++ (from the package `vqf`), and the filters of Madgwick and of
 Mahony written from their papers (`benchmarks/attitude`). Printed for each:
 
-1. on this machine, nanoseconds of CPU a sample: best and median of many passes over the trial, in turns;
-   bytes of code and of state; the total RMSE on the trial;
+1. on this machine, nanoseconds of CPU a sample: best and median of many passes over the trial, in
+   turns; bytes of code and of state; the total RMSE on the trial;
 2. on a Cortex-M4F, emulated by QEMU, instructions a sample, code and stack. In single precision VQF
    still filters the acceleration in double precision, which a Cortex-M4F computes in software.
    Needs gcc-arm-none-eabi, libstdc++-arm-none-eabi-newlib and qemu-system-arm; without them this
