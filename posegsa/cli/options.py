@@ -242,10 +242,23 @@ def read(
     return found if part is None else [each.window(*part) for each in found]
 
 
-def warn_of_mistakes(recordings: "Iterable[Recording]") -> None:
-    """Warn of the mistakes that recordings seem to have, before a filter runs on them."""
+def warn_of_mistakes(recordings: "Iterable[Recording]", frame: str | None = None) -> None:
+    """Warn of the mistakes that recordings seem to have, before a filter runs on them.
+
+    Args:
+        recordings: As they were read.
+        frame: The inertial frame of their truth, if it is not ENU.
+    """
+    from dataclasses import replace
+
+    import numpy as np
+
     from posegsa.recordings.data_check import check
+    from posegsa.recordings.frames import NORTH
 
     for one in recordings:
+        if frame not in (None, "ENU") and one.truth is not None:
+            to_enu = np.array([np.cross(NORTH[frame], UP[frame]), NORTH[frame], UP[frame]])
+            one = replace(one, truth=one.truth._replace(rotation=to_enu @ one.truth.rotation))
         for words in check(one).findings:
             warnings.warn(f"{one.name}: {words}", PosegsaWarning, stacklevel=2)

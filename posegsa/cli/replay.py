@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     for path in options.recordings:
         try:
             each = read([path], options.window, options.bridge, options.longest_gap)
-            warn_of_mistakes(each)
+            warn_of_mistakes(each, options.frame)
             recordings += in_frame(options, result.filter.kind, each)
         except MeasurementError as error:  # the filter runs on the others all the same
             left_out(path, error)

@@ -195,7 +195,9 @@ class AttitudeState(NamedTuple):
     field_age: Array
     """Time since the first field [s]; below 0 before it."""
     field_gap: Array
-    """Time since the last field that was used [s], at most LONGEST_REFUSAL."""
+    """Time since the last field that was used [s], at most LONGEST_PAUSE."""
+    field_refused: Array
+    """Time of the fields since then that were too long [s]."""
     slow_turning: Vec3
     """Mean of the gyroscope over REST_MEAN [rad/s], body frame."""
     slow_force: Vec3
@@ -284,6 +286,7 @@ class AttitudeFilter:
             upright=zero,
             field_age=zero - 1,
             field_gap=zero,
+            field_refused=zero,
             slow_turning=zeros,
             slow_force=zeros,
             still_time=zero,
@@ -318,12 +321,12 @@ class AttitudeFilter:
         level = (of_force > 0) & (state.upright < 1)
         upright = maximum(state.upright, choose(of_force > 0, jnp.ones_like(dt), 0.0))
         longest = numbers.outlier * numbers.outlier * (parts[0] * parts[0] + parts[1] * parts[1])
-        # A field that is much longer for long is no outlier: the first one was too short.
-        anew = (state.field_age < 0) | (
-            (dot(m, m) >= longest) & (state.field_gap >= LONGEST_REFUSAL)
-        )
-        usable = (dot(m, m) < longest) | anew
-        of_field = choose(usable & (upright > 0), field_seen.factor, 0.0)
+        # A field that is too long for longer than the others were believed is no outlier: the first
+        # one was too short.
+        fits = dot(m, m) < longest
+        belated = state.field_refused >= maximum(state.field_age, LONGEST_REFUSAL)
+        anew = (state.field_age < 0) | (belated & jnp.logical_not(fits))
+        of_field = choose((fits | anew) & (upright > 0), field_seen.factor, 0.0)
         first = (of_field > 0) & anew
         # A sample says nothing of the time after it, once that is long.
         paused, lasting = dt > LONGEST_PAUSE, minimum(dt, LONGEST_PAUSE)
@@ -335,7 +338,7 @@ class AttitudeFilter:
         rests = still_time >= REST_TIME
         state = state._replace(upright=upright)
         # A slow magnetometer's sample speaks for the time since the one before.
-        since = lasting + minimum(state.field_gap, LONGEST_PAUSE)
+        since = lasting + state.field_gap
         state = self._with_field(state, R, omega, m, of_field, since, first)
 
         # Corrections, each by a scalar measurement.
@@ -382,7 +385,8 @@ class AttitudeFilter:
         covariance = tuple(
             (row[0] + dt * noise, *row[1:]) for row, noise in zip(covariance, noises, strict=True)
         )
-        gap = minimum(state.field_gap + dt, LONGEST_REFUSAL)
+        gap = minimum(state.field_gap + dt, LONGEST_PAUSE)
+        refused = state.field_refused + choose(field_seen.factor > 0, lasting, 0.0)
         after = state._replace(
             estimate=state.estimate._replace(attitude=next_attitude, bias_angular=bias),
             at_sample=q,
@@ -391,6 +395,7 @@ class AttitudeFilter:
             covariance=covariance,
             field=f,
             field_gap=choose(of_field > 0, jnp.zeros_like(dt), gap),
+            field_refused=choose(of_field > 0, jnp.zeros_like(dt), refused),
             slow_turning=slow_turning,
             slow_force=slow_force,
             still_time=still_time,

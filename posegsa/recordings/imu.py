@@ -130,7 +130,7 @@ def as_imu(recording: Recording, *, frame: Frame = "ENU") -> ImuRecording:
 
 
 _OWN = {
-    *("angular_velocity", "velocity", "sensors", "start"),
+    *("angular_velocity", "velocity", "sensors", "start", "weights_by_rate"),
     *("vectors", "vector_references", "vector_weights"),
     *("landmarks", "landmark_references", "landmark_weights"),
 }
@@ -148,9 +148,8 @@ def _made(
     """A checked recording of signals (K, 3), with further arguments of `Recording.from_arrays`."""
     if frame not in UP:
         raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
-    more.setdefault(
-        "weights_by_rate", False
-    )  # the filter knows how long a slow sensor's samples stand
+    # The filter itself knows for how long a slow sensor's sample stands.
+    more["weights_by_rate"] = False
     acc = sensors["accelerometer"]
     mag = sensors.get("magnetometer", np.full_like(acc, math.nan))
     found = Recording.from_arrays(

@@ -38,7 +38,9 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
     turning, force = _parts(gyr, length), _parts(acc, length)
     bias, pull = _mean(turning), _mean(force)
     still = (_spread(turning, bias) < REST_TURNING) & (_spread(force, pull) < REST_SHAKING)
-    field = None if mag is None else _parts(mag, length)
+    # A field of 0 is missing, as it is for the filter.
+    known = None if mag is None else np.where(mag.any(axis=1, keepdims=True), mag, np.nan)
+    field = None if known is None else _parts(known, length)
     seen = pull if field is None else _mean(field)
     if np.count_nonzero(still) >= FEWEST:
         speed = _length(np.median(bias[still], axis=0))
@@ -73,11 +75,14 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
 
 
 def _turned(seen: np.ndarray, still: np.ndarray) -> float:
-    """Median angle [rad] by which a direction (parts, 3) turns between neighbours at rest."""
+    """Median angle [rad] by which a direction (parts, 3) turns between neighbours at rest.
+
+    It is infinite if there are none.
+    """
     known = still & np.isfinite(seen).all(axis=1) & (_length(seen) > 0)
     pairs = known[1:] & known[:-1]
     if not pairs.any():
-        return 0.0
+        return np.inf  # unknown
     unit = seen / np.where(known, _length(seen), 1.0)[:, None]
     off = _length(np.cross(unit[1:], unit[:-1]))[pairs]
     return float(np.median(np.arcsin(np.minimum(off, 1.0))))

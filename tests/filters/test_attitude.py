@@ -258,3 +258,12 @@ def test_after_a_pause_the_attitude_is_found_anew_and_said_to_be_uncertain() -> 
     error = degrees(found["R"], seen["R"][: len(found["R"])])
     assert error[1490:1500].max() < 1.0
     assert error[-300:].max() < 2.0
+
+
+def test_a_strong_magnet_for_seconds_does_not_take_the_place_of_a_known_field() -> None:
+    seen = sensed(40.0)
+    seen["mag"][2000:2300] = 12.0 * seen["mag"][2000:2300, ::-1]
+    seen["mag"][2600:2720] = np.nan
+    seen["mag"][2720] *= 15.0
+    _, found = ran(made(), seen)
+    assert degrees(found["R"], seen["R"][: len(found["R"])])[2000:].max() < 2.0

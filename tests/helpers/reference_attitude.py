@@ -40,7 +40,7 @@ def attitudes(
     f: Any = None
     c = np.zeros(3)
     parts = off = np.zeros(2)
-    parts_time = age = still = last = gap = 0.0
+    parts_time = age = still = last = gap = refused = 0.0
     belief = 0.0
     slow: Any = None
     found: dict[str, list[Any]] = {"R": [shown], "b": [b], "belief": [0.0], "rest": [False]}
@@ -66,10 +66,11 @@ def attitudes(
         anew = f is None
         if seen and f is not None:
             fits = bool(np.linalg.norm(m) < n["outlier"] * np.linalg.norm(parts))
-            anew = not fits and gap >= 1.0
+            anew = not fits and refused >= max(age, 1.0)
             seen = fits or anew
         since = lasting + min(gap, 0.25)
         gap = 0.0 if seen else gap + dt
+        refused = 0.0 if seen else refused + (lasting if np.isfinite(m).all() else 0.0)
         if seen:
             first = anew
             if first:

@@ -86,3 +86,9 @@ def test_a_recording_describes_itself_with_its_advice() -> None:
     given = well()
     recording = posegsa.imu(**given | {"acc": 0.95 * given["acc"]})
     assert "\n  advice: the accelerometer shows 9.32" in recording.describe()
+
+
+def test_a_field_of_zero_is_missing() -> None:
+    good = well()
+    good["mag"][::20] = 0.0
+    assert said(good["gyr"], good["acc"], good["mag"]) == []
