@@ -37,6 +37,10 @@ by up to tan(dip) times as much: that too is added to the heading's variance.
 **Rest.** While gyroscope and accelerometer stay near their means over half a second (thresholds of
 VQF), the gyroscope measures its bias, and "v is 0" is measured with less noise.
 
+**Outliers and pauses.** A vector that is far too long is ignored, unless such fields last longer
+than the others: then the first one was wrong. After a pause in the samples the attitude is found
+anew.
+
 **Start.** The first acceleration turns the initial attitude upright, the first field to the north,
 by the smallest rotations that do so; large variances then let both improve in seconds. Without a
 magnetometer the initial heading stays, and drifts.
@@ -58,6 +62,19 @@ import numpy as np
 from jax import Array
 
 from posegsa.arguments import check_type, refuse
+from posegsa.filters.attitude_covariance import (
+    BIAS,
+    EAST,
+    NORTH,
+    STATES,
+    UP,
+    VELOCITY,
+    Covariance,
+    Found,
+    corrected,
+    entry_of,
+    propagated,
+)
 from posegsa.filters.base import Record, Samples, Sensors
 from posegsa.model.elementwise import choose, maximum, minimum, only_if
 from posegsa.model.estimate import FilterState
@@ -85,14 +102,6 @@ from posegsa.model.vectors import VectorSample, VectorSamples, VectorSettings
 
 Interval = Literal["before", "after"]
 """Which interval an angular velocity is the mean of: before its time stamp, or after it."""
-Covariance = tuple[tuple[Array, ...], ...]
-"""Upper triangle of a symmetric matrix: row i holds its entries (i, i), (i, i + 1), ..."""
-
-EAST, NORTH, UP = 0, 1, 2
-"""States of the attitude error, about each axis."""
-BIAS, VELOCITY, STATES = 3, 6, 8
-"""Index of the first state of the bias and of the velocity, and the number of states."""
-
 INITIAL_INCLINATION = 0.35
 """Standard deviation of the inclination from one acceleration of a moving body, by axis [rad]."""
 INITIAL_HEADING = 1.0
@@ -113,11 +122,11 @@ LARGEST_BIAS = float(np.deg2rad(6.0))
 FIELD_NOISE_TIME = 0.1
 """Time constant of the low-pass filter of d, so that noise is no disturbance [s]."""
 LONGEST_PAUSE = 0.25
-"""Time between two samples [s] beyond which the attitude is found anew: nothing tells how the body
-turned meanwhile."""
+"""Time between two samples [s] above which the attitude is found anew, as at the start: the
+gyroscope has not measured how the body turned in between."""
 LONGEST_REFUSAL = 1.0
-"""Time [s] after which a field that is always too long is no outlier."""
-LITTLE = 0.5
+"""Time of refused fields [s] after which they may be right and the first field wrong."""
+SMALL_ANGLE = 0.5
 """Angle between two samples [rad] up to which a short series gives the rotation."""
 ALL_TURNING = 0.5
 """Angular velocity from which on c, the field of the body, is followed at its full rate [rad/s]."""
@@ -213,13 +222,13 @@ class AttitudeState(NamedTuple):
     @property
     def heading_deviation(self) -> Array:
         """Standard deviation of the heading [rad]."""
-        return safe_sqrt(_entry(self.covariance, UP, UP))
+        return safe_sqrt(entry_of(self.covariance, UP, UP))
 
     @property
     def inclination_deviation(self) -> Array:
         """Standard deviation of the inclination [rad]."""
         return safe_sqrt(
-            _entry(self.covariance, EAST, EAST) + _entry(self.covariance, NORTH, NORTH)
+            entry_of(self.covariance, EAST, EAST) + entry_of(self.covariance, NORTH, NORTH)
         )
 
 
@@ -321,45 +330,45 @@ class AttitudeFilter:
         level = (of_force > 0) & (state.upright < 1)
         upright = maximum(state.upright, choose(of_force > 0, jnp.ones_like(dt), 0.0))
         longest = numbers.outlier * numbers.outlier * (parts[0] * parts[0] + parts[1] * parts[1])
-        # A field that is too long for longer than the others were believed is no outlier: the first
-        # one was too short.
-        fits = dot(m, m) < longest
-        belated = state.field_refused >= maximum(state.field_age, LONGEST_REFUSAL)
-        anew = (state.field_age < 0) | (belated & jnp.logical_not(fits))
-        of_field = choose((fits | anew) & (upright > 0), field_seen.factor, 0.0)
-        first = (of_field > 0) & anew
-        # A sample says nothing of the time after it, once that is long.
-        paused, lasting = dt > LONGEST_PAUSE, minimum(dt, LONGEST_PAUSE)
+        plausible = dot(m, m) < longest
+        # Fields that were refused for longer than others were used are no outliers: the first one
+        # was too short.
+        outvoted = state.field_refused >= maximum(state.field_age, LONGEST_REFUSAL)
+        restart = (state.field_age < 0) | (outvoted & jnp.logical_not(plausible))
+        of_field = choose((plausible | restart) & (upright > 0), field_seen.factor, 0.0)
+        first = (of_field > 0) & restart
+        # A sample stands for the time until the next one, but not for a pause.
+        paused, span = dt > LONGEST_PAUSE, minimum(dt, LONGEST_PAUSE)
         q = only_if(level | first, lambda q: _set(q, level, first, axes, a, m), q)
 
         R = _in(axes, rows(q))
-        still, slow_turning, slow_force = _stillness(state, gyr, a, of_force, lasting)
-        still_time = choose(still, state.still_time + lasting, 0.0)
+        still, slow_turning, slow_force = _stillness(state, gyr, a, of_force, span)
+        still_time = choose(still, state.still_time + span, 0.0)
         rests = still_time >= REST_TIME
         state = state._replace(upright=upright)
         # A slow magnetometer's sample speaks for the time since the one before.
-        since = lasting + state.field_gap
-        state = self._with_field(state, R, omega, m, of_field, since, first)
+        field_span = span + state.field_gap
+        state = self._with_field(state, R, omega, m, of_field, field_span, first)
 
         # Corrections, each by a scalar measurement.
         correction = (jnp.zeros_like(dt),) * STATES
         found = state.covariance, correction
         spread = choose(rests, jnp.full_like(dt, REST_VELOCITY), numbers.velocity)
-        felt = choose(of_force > 0, lasting, 0.0)
+        felt = choose(of_force > 0, span, 0.0)
         for i in range(2):
-            found = _measured(found, VELOCITY + i, -state.velocity[i], spread * spread, felt)
+            found = corrected(found, VELOCITY + i, -state.velocity[i], spread * spread, felt)
         f, (level_mean, upwards) = state.field, state.parts
         level_length = norm((f[0], f[1], jnp.zeros_like(dt)))
         known = (of_field > 0) & (level_length > 0) & (level_mean > 0)
         safe = choose(known, level_length, 1.0)
         dip = upwards / choose(known, level_mean, 1.0)
-        tilt = _entry(state.covariance, EAST, EAST) + _entry(state.covariance, NORTH, NORTH)
-        seen = choose(known, since * state.field_belief * of_field, 0.0)
+        tilt = entry_of(state.covariance, EAST, EAST) + entry_of(state.covariance, NORTH, NORTH)
+        seen = choose(known, field_span * state.field_belief * of_field, 0.0)
         tilted = 0.5 * numbers.inclination_in_heading * dip * dip * tilt
         noise = numbers.heading * numbers.heading + seen * tilted
         behind = choose(f[0] >= 0, jnp.ones_like(dt), -1.0)
-        found = _measured(found, UP, choose(f[1] > 0, f[0] / safe, behind), noise, seen)
-        found = only_if(rests, lambda found: self._at_rest(found, omega, lasting), found)
+        found = corrected(found, UP, choose(f[1] > 0, f[0] / safe, behind), noise, seen)
+        found = only_if(rests, lambda found: self._at_rest(found, omega, span), found)
         covariance, x = found
         angle = (x[0], x[1], x[2])
         # The rotation by 2 atan(|x| / 2) about x: to third order that by x, without a series.
@@ -381,12 +390,12 @@ class AttitudeFilter:
         walk = numbers.angular_walk**2
         noises = [density, density, density + of_heading, walk, walk, walk]
         noises += [jnp.full_like(dt, ACCELERATION**2)] * 2
-        covariance = _moved(covariance, R, dt, felt * gravity)
+        covariance = propagated(covariance, R, dt, felt * gravity)
         covariance = tuple(
             (row[0] + dt * noise, *row[1:]) for row, noise in zip(covariance, noises, strict=True)
         )
         gap = minimum(state.field_gap + dt, LONGEST_PAUSE)
-        refused = state.field_refused + choose(field_seen.factor > 0, lasting, 0.0)
+        refused = state.field_refused + choose(field_seen.factor > 0, span, 0.0)
         after = state._replace(
             estimate=state.estimate._replace(attitude=next_attitude, bias_angular=bias),
             at_sample=q,
@@ -403,7 +412,7 @@ class AttitudeFilter:
         forgotten = _after_a_pause(after)
         return jax.tree.map(partial(choose, paused), forgotten, after), Record()
 
-    def _at_rest(self, found: "Found", omega: Vec3, dt: Array) -> "Found":
+    def _at_rest(self, found: Found, omega: Vec3, dt: Array) -> Found:
         """After what the gyroscope measures of its bias at rest.
 
         Args:
@@ -413,7 +422,7 @@ class AttitudeFilter:
         """
         noise = self.numbers.rest_bias * self.numbers.rest_bias
         for i in range(3):
-            found = _measured(found, BIAS + i, omega[i], noise, dt)
+            found = corrected(found, BIAS + i, omega[i], noise, dt)
         return found
 
     def _with_field(
@@ -423,7 +432,7 @@ class AttitudeFilter:
         omega: Vec3,
         measured: Vec3,
         factor: Array,
-        since: Array,
+        span: Array,
         first: Array,
     ) -> AttitudeState:
         """The means of the field, and the belief in it, after a sample.
@@ -434,17 +443,17 @@ class AttitudeFilter:
             omega: angular velocity without its bias [rad/s].
             measured: the magnetic field, body frame.
             factor: 0 where it is missing.
-            since: time that the sample speaks for [s].
+            span: time that the sample stands for [s].
             first: whether the means begin with it.
         """
-        numbers, seen, dt = self.numbers, factor > 0, since
-        age = choose(first, jnp.zeros_like(dt), state.field_age)
-        time = since * factor
+        numbers, seen, zero = self.numbers, factor > 0, jnp.zeros_like(span)
+        age = choose(first, zero, state.field_age)
+        time = span * factor
         slow = unrotate(R, state.field)
-        late = choose(first, jnp.zeros_like(dt), numbers.magnetometer_delay)
+        late = choose(first, zero, numbers.magnetometer_delay)
         m = subtract(subtract(measured, state.iron), scale(late, cross(omega, slow)))
         earthly = rotate(R, m)
-        level = norm((earthly[EAST], earthly[NORTH], jnp.zeros_like(dt)))
+        level = norm((earthly[EAST], earthly[NORTH], zero))
         parts = tuple(
             choose(first, new, old)
             for new, old in zip((level, earthly[UP]), state.parts, strict=True)
@@ -460,19 +469,19 @@ class AttitudeFilter:
         tolerance = numbers.field_tolerance * numbers.field_tolerance
         belief = tolerance / (tolerance + square)
         follow = numbers.disbelieved + (1 - numbers.disbelieved) * belief
-        turning = minimum(norm(omega) * (1 / ALL_TURNING), jnp.ones_like(dt))
+        turning = minimum(norm(omega) * (1 / ALL_TURNING), jnp.ones_like(span))
         residual = subtract(earthly, state.field)
         share = maximum(time / (numbers.field_time + time), time / (age + time + 1e-9))
-        to_iron = minimum(time * turning * follow / numbers.iron_time, jnp.ones_like(dt))
+        to_iron = minimum(time * turning * follow / numbers.iron_time, jnp.ones_like(span))
         weight = time * turning * follow
-        before = choose(first, jnp.zeros_like(dt), state.parts_time)
+        before = choose(first, zero, state.parts_time)
         parts_time = minimum(before + weight, numbers.field_memory)
         to_parts = weight / (parts_time + 1e-6)
         changed = state._replace(
             field=add(state.field, scale(share, residual)),
             iron=add(
                 state.iron,
-                scale(choose(first, jnp.zeros_like(dt), to_iron), unrotate(R, residual)),
+                scale(choose(first, zero, to_iron), unrotate(R, residual)),
             ),
             parts=(
                 parts[0] + to_parts * (level - parts[0]),
@@ -481,7 +490,7 @@ class AttitudeFilter:
             parts_time=parts_time,
             off=(off[0], off[1]),
             field_belief=belief,
-            field_age=age + since,
+            field_age=age + span,
         )
         return jax.tree.map(lambda new, old: choose(seen, new, old), changed, state)
 
@@ -489,9 +498,9 @@ class AttitudeFilter:
 def _after_a_pause(state: AttitudeState) -> AttitudeState:
     """The state at the first sample after a pause: what is known of the attitude is forgotten."""
     zero = jnp.zeros_like(state.last_step)
-    known = [[_entry(state.covariance, i, j) for j in range(STATES)] for i in range(STATES)]
-    anew = (*INITIAL_DEVIATIONS, None, None, None, INITIAL_VELOCITY, INITIAL_VELOCITY)
-    for i, deviation in enumerate(anew):
+    known = [[entry_of(state.covariance, i, j) for j in range(STATES)] for i in range(STATES)]
+    deviations = (*INITIAL_DEVIATIONS, None, None, None, INITIAL_VELOCITY, INITIAL_VELOCITY)
+    for i, deviation in enumerate(deviations):
         if deviation is not None:
             for j in range(STATES):
                 known[i][j] = known[j][i] = zero
@@ -544,12 +553,12 @@ def _rotation_by(angle: Vec3) -> Quaternion:
         return exp_coefficients(square)[:2]
 
     # Between two samples a body turns by little: a short series is exact to rounding.
-    cosine, sine = only_if(square > LITTLE * LITTLE, by_any, _half_angle(square))
+    cosine, sine = only_if(square > SMALL_ANGLE * SMALL_ANGLE, by_any, _half_angle(square))
     return (cosine, *scale(sine, angle))
 
 
 def _half_angle(square: Array) -> tuple[Array, Array]:
-    """cos(t/2) and sin(t/2)/t up to t = LITTLE, from t^2 [rad^2]."""
+    """cos(t/2) and sin(t/2)/t up to t = SMALL_ANGLE, from t^2 [rad^2]."""
     x = -0.25 * square
     cosine, sine = (
         reduce(lambda sum_, n: 1 / math.factorial(n) + x * sum_, range(first, -1, -2), 0 * x)
@@ -622,77 +631,3 @@ def _stillness(
 
 def _is_within(a: Vec3, length: float) -> Array:
     return dot(a, a) < length * length
-
-
-# --- the covariance, by components ---
-
-Found = tuple[Covariance, tuple[Array, ...]]
-"""The covariance and the correction x after the measurements of a sample so far."""
-
-
-def _entry(covariance: Covariance, i: int, j: int) -> Array:
-    return covariance[i][j - i] if i <= j else covariance[j][i - j]
-
-
-def _measured(found: Found, state: int, residual: Array, noise: Array, weight: Array) -> Found:
-    """After a measurement of one state.
-
-    Args:
-        found: before it.
-        state: its index.
-        residual: measured minus predicted, without the correction so far.
-        noise: the variance of its noise for a weight of 1.
-        weight: by which that is divided; 0 where the measurement is missing.
-    """
-    covariance, x = found
-    gain = [_entry(covariance, i, state) for i in range(STATES)]
-    # gain / (variance + noise / weight), without an infinite noise.
-    share = weight / (noise + weight * gain[state])
-    surprise = share * (residual - x[state])
-    return (
-        tuple(
-            tuple(entry - share * gain[i] * gain[j] for j, entry in enumerate(row, start=i))
-            for i, row in enumerate(covariance)
-        ),
-        tuple(a + surprise * g for a, g in zip(x, gain, strict=True)),
-    )
-
-
-def _moved(covariance: Covariance, R: Matrix3, dt: Array, pull: Array) -> Covariance:
-    """The covariance after theta <- theta - dt R (error of b) and v <- v + pull (theta x up).
-
-    Args:
-        covariance: before it.
-        R: rows of the attitude, to east, north, up.
-        dt: time step [s].
-        pull: time step times gravity [m/s].
-    """
-    P, axis, both = partial(_entry, covariance), range(3), range(2)
-    M = tuple(scale(dt, row) for row in R)
-
-    def with_bias(i: int) -> Vec3:
-        """Covariance of a state with the bias."""
-        return P(i, BIAS), P(i, BIAS + 1), P(i, BIAS + 2)
-
-    def with_velocity(i: int) -> tuple[Array, Array]:
-        """Covariance of a state with the new velocity."""
-        return P(i, VELOCITY) + pull * P(i, NORTH), P(i, VELOCITY + 1) - pull * P(i, EAST)
-
-    x, y, z = (with_bias(BIAS + j) for j in axis)
-    turned = [(dot(row, x), dot(row, y), dot(row, z)) for row in M]
-    half = [subtract(with_bias(i), scale(0.5, turned[i])) for i in axis]
-    twice = [[dot(half[i], M[j]) for j in axis] for i in axis]
-    moved = [with_velocity(i) for i in range(STATES)]
-    x, y, z = moved[BIAS : BIAS + 3]
-    of_velocity = [(x[k], y[k], z[k]) for k in both]  # and the bias
-    entries = {
-        **{(i, j): P(i, j) - (twice[i][j] + twice[j][i]) for i in axis for j in axis},
-        **{(i, BIAS + j): with_bias(i)[j] - turned[i][j] for i in axis for j in axis},
-        **{(i, VELOCITY + k): moved[i][k] - dot(M[i], of_velocity[k]) for i in axis for k in both},
-        **{(BIAS + i, BIAS + j): P(BIAS + i, BIAS + j) for i in axis for j in axis},
-        **{(BIAS + i, VELOCITY + k): moved[BIAS + i][k] for i in axis for k in both},
-        (VELOCITY, VELOCITY): moved[VELOCITY][0] + pull * moved[NORTH][0],
-        (VELOCITY, VELOCITY + 1): moved[VELOCITY][1] + pull * moved[NORTH][1],
-        (VELOCITY + 1, VELOCITY + 1): moved[VELOCITY + 1][1] - pull * moved[EAST][1],
-    }
-    return tuple(tuple(entries[i, j] for j in range(i, STATES)) for i in range(STATES))
