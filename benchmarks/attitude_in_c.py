@@ -4,9 +4,9 @@ All are compiled with the same options and run on the same samples: posegsa's he
 export imu` writes it, VQF's own C++ (from the package `vqf`), and the filters of Madgwick and of
 Mahony written from their papers (`benchmarks/attitude`). Printed for each:
 
-1. on this machine, nanoseconds of CPU a sample: best and median of many passes over the trial, in
-   turns; bytes of code and of state; the total RMSE on the trial;
-2. on a Cortex-M4F, emulated by QEMU, instructions a sample, code and stack. In single precision VQF
+1. on this machine, nanoseconds of CPU a sample with -O2 and with -O3: best and median of many
+   passes over the trial, in turns; bytes of code and of state; the total RMSE on the trial;
+2. on a Cortex-M4F, emulated by QEMU, instructions a sample, and code. In single precision VQF
    still filters the acceleration in double precision, which a Cortex-M4F computes in software.
    Needs gcc-arm-none-eabi, libstdc++-arm-none-eabi-newlib and qemu-system-arm; without them this
    part is left out.
@@ -40,6 +40,8 @@ HERE = Path(__file__).parent / "attitude"
 LINKED = Path(__file__).parent / "on_target" / "mps2.ld"
 PASSES, TURNS = 5, 8
 """Passes over the trial in a run, and runs of each program, in turns with the others."""
+LEVELS = "-O2", "-O3"
+"""Optimisation, on this machine."""
 ON_TARGET = 1000
 """Samples for the emulated board, from the middle of the trial."""
 TOLD = 0.02
@@ -65,7 +67,8 @@ class Contender:
         """Preprocessor options, with the exported header in `folder`."""
         single = ["-DVQF_SINGLE_PRECISION"] if self.in_cpp and self.real == "float" else []
         names = [f"-DFILTER={self.number}", f"-DREAL={self.real}", f"-DPOSEGSA_REAL={self.real}"]
-        return [*names, *single, "-I", str(folder), "-I", str(HERE), "-I", str(vqf_sources())]
+        folders = (folder, HERE, LINKED.parent, vqf_sources())
+        return [*names, *single, *(f"-I{each}" for each in folders)]
 
     def sources(self) -> list[str]:
         """Other files that it needs."""
@@ -97,14 +100,12 @@ def samples_of(recording: Recording) -> np.ndarray:
     return np.concatenate([np.asarray(part) for part in parts], axis=1)
 
 
-def built(one: Contender, folder: Path) -> Path:
+def built(one: Contender, folder: Path, level: str = "-O2") -> Path:
     """The program that times a filter on this machine."""
-    program = folder / f"{one.name}-{one.real}"
+    program = folder / f"{one.name}-{one.real}{level}"
     language = ["g++", "-x", "c++"] if one.in_cpp else [str(compiler())]
-    source = str(HERE / "time_samples.c")
-    compiled(
-        *language, "-O2", *one.options(folder), source, *one.sources(), "-o", str(program), "-lm"
-    )
+    sources = [str(HERE / "time_samples.c"), *one.sources()]
+    compiled(*language, level, *one.options(folder), *sources, "-o", str(program), "-lm")
     return program
 
 
@@ -188,31 +189,34 @@ def tables(path: Path) -> str:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "posegsa.h").write_text(posegsa.export_c(posegsa.configured("imu")))
-        programs = [built(one, folder) for one in CONTENDERS]
-        codes = [f"{code_size(one, folder, '')} B" for one in CONTENDERS]
-        times: list[list[float]] = [[] for _ in CONTENDERS]
-        ends: list[list[str]] = []
-        for turn in range(TURNS):
-            for i, (one, program) in enumerate(zip(CONTENDERS, programs, strict=True)):
+        runs = [(one, level, built(one, folder, level)) for one in CONTENDERS for level in LEVELS]
+        times: dict[tuple[Contender, str], list[float]] = {run[:2]: [] for run in runs}
+        ends = {}
+        for _ in range(TURNS):
+            for one, level, program in runs:
                 took, size, q = run_here(one, program, step, samples, PASSES)
-                times[i] += took
-                if turn == 0:
-                    errors = attitude_errors(matrices(q.astype(float)), recording.truth.rotation)
-                    error = rmse(errors[0], recording.judged)
-                    ends.append([codes[i], f"{size} B", f"{error:.2f} deg"])
+                times[one, level] += took
+                errors = attitude_errors(matrices(q.astype(float)), recording.truth.rotation)
+                ends[one] = [f"{size} B", f"{rmse(errors[0], recording.judged):.2f} deg"]
         here = [
-            [one.name, one.real, f"{min(t):.0f} ns ({statistics.median(t):.0f} ns)", *end]
-            for one, t, end in zip(CONTENDERS, times, ends, strict=True)
+            [
+                *(one.name, one.real),
+                *(f"{min(t):.0f} ns ({statistics.median(t):.0f} ns)" for t in took),
+                *(f"{code_size(one, folder, '')} B", *ends[one]),
+            ]
+            for one in CONTENDERS
+            for took in [[times[one, level] for level in LEVELS]]
         ]
         single = [one for one in CONTENDERS if one.real == "float"]
         emulated = all(map(shutil.which, ("arm-none-eabi-g++", "qemu-system-arm")))
         board = [on_the_board(one, step, samples, folder) for one in single if emulated]
     about = machine(version("jax"), 1, "")
-    head = ["filter", "type", "a sample, best (median)", "code", "state", "total RMSE"]
+    levels = [f"a sample, {level}: best (median)" for level in LEVELS]
+    head = ["filter", "type", *levels, "code, -O2", "state", "total RMSE"]
     parts = [
         markdown(head, here),
         f"Trial {path.stem}, {len(samples)} samples; {about['cpu']}, one core, "
-        f"{about['compiler']} -O2, VQF {version('vqf')}; {about['date']}. The code of VQF is that "
+        f"{about['compiler']}, VQF {version('vqf')}; {about['date']}. The code of VQF is that "
         "of all its functions.",
     ]
     if board:

@@ -4,7 +4,7 @@
  * quaternion of the paper is from the earth to the body; the field's reference is its own mean
  * direction, (b_x, 0, b_z), so its earth frame is north, west, up. */
 
-#include "unit_length.h"
+#include "quaternion.h"
 
 typedef struct {
     real q[4], dt; /* body to north, west, up */
@@ -12,15 +12,14 @@ typedef struct {
 
 static int begin(filter_state *filter, real dt)
 {
-    filter->q[0] = 1;
-    filter->q[1] = filter->q[2] = filter->q[3] = 0;
+    to_identity(filter->q);
     filter->dt = dt;
     return 0;
 }
 
 static int step(filter_state *filter, const real *gyr, const real *acc, const real *mag)
 {
-    const real beta = (real)0.041, half = (real)0.5, dt = filter->dt;
+    const real beta = (real)0.041, half = (real)0.5;
     const real w = filter->q[0], x = filter->q[1], y = filter->q[2], z = filter->q[3];
     real a[3] = {acc[0], acc[1], acc[2]}, m[3] = {mag[0], mag[1], mag[2]}, gradient[4], h[3];
     real bx, bz, f[6];
@@ -49,25 +48,13 @@ static int step(filter_state *filter, const real *gyr, const real *acc, const re
     gradient[3] = 2 * x * f[0] + 2 * y * f[1] + 2 * (-2 * bx * z + bz * x) * f[3] +
                   2 * (-bx * w + bz * y) * f[4] + 2 * bx * x * f[5];
     to_unit(gradient, 4);
-    filter->q[0] += dt * (half * (-x * gyr[0] - y * gyr[1] - z * gyr[2]) - beta * gradient[0]);
-    filter->q[1] += dt * (half * (w * gyr[0] + y * gyr[2] - z * gyr[1]) - beta * gradient[1]);
-    filter->q[2] += dt * (half * (w * gyr[1] - x * gyr[2] + z * gyr[0]) - beta * gradient[2]);
-    filter->q[3] += dt * (half * (w * gyr[2] + x * gyr[1] - y * gyr[0]) - beta * gradient[3]);
-    to_unit(filter->q, 4);
     for (i = 0; i < 4; ++i) {
-        if (!(filter->q[i] - filter->q[i] == 0)) {
-            return 1;
-        }
+        gradient[i] *= beta;
     }
-    return 0;
+    return integrate(filter->q, gyr, filter->dt, gradient);
 }
 
-/* North, west, up to east, north, up: a quarter of a turn about the vertical. */
 static void attitude(const filter_state *filter, real *q)
 {
-    const real c = (real)0.70710678118654752;
-    q[0] = c * (filter->q[0] - filter->q[3]);
-    q[1] = c * (filter->q[1] - filter->q[2]);
-    q[2] = c * (filter->q[2] + filter->q[1]);
-    q[3] = c * (filter->q[3] + filter->q[0]);
+    to_east_north_up(filter->q, q);
 }

@@ -3,7 +3,7 @@
  * group", IEEE TAC 53(5), 2008, Eq. 32 and Eqs. 48a to 48c. Gains k_P 1 and k_I 0.3 as there. The
  * field's reference is its own mean direction, (b_x, 0, b_z): the earth frame is north, west, up. */
 
-#include "unit_length.h"
+#include "quaternion.h"
 
 typedef struct {
     real q[4], bias[3], dt; /* body to north, west, up */
@@ -11,8 +11,7 @@ typedef struct {
 
 static int begin(filter_state *filter, real dt)
 {
-    filter->q[0] = 1;
-    filter->q[1] = filter->q[2] = filter->q[3] = 0;
+    to_identity(filter->q);
     filter->bias[0] = filter->bias[1] = filter->bias[2] = 0;
     filter->dt = dt;
     return 0;
@@ -20,7 +19,7 @@ static int begin(filter_state *filter, real dt)
 
 static int step(filter_state *filter, const real *gyr, const real *acc, const real *mag)
 {
-    const real kp = 1, ki = (real)0.3, half = (real)0.5, dt = filter->dt;
+    const real kp = 1, ki = (real)0.3, dt = filter->dt;
     const real w = filter->q[0], x = filter->q[1], y = filter->q[2], z = filter->q[3];
     real a[3] = {acc[0], acc[1], acc[2]}, m[3] = {mag[0], mag[1], mag[2]}, R[3][3], v[3], u[3];
     real hx, hy, bx, bz, turn[3];
@@ -44,25 +43,10 @@ static int step(filter_state *filter, const real *gyr, const real *acc, const re
         filter->bias[i] -= ki * off * dt;
         turn[i] = gyr[i] - filter->bias[i] + kp * off;
     }
-    filter->q[0] += dt * half * (-x * turn[0] - y * turn[1] - z * turn[2]);
-    filter->q[1] += dt * half * (w * turn[0] + y * turn[2] - z * turn[1]);
-    filter->q[2] += dt * half * (w * turn[1] - x * turn[2] + z * turn[0]);
-    filter->q[3] += dt * half * (w * turn[2] + x * turn[1] - y * turn[0]);
-    to_unit(filter->q, 4);
-    for (i = 0; i < 4; ++i) {
-        if (!(filter->q[i] - filter->q[i] == 0)) {
-            return 1;
-        }
-    }
-    return 0;
+    return integrate(filter->q, turn, dt, 0);
 }
 
-/* North, west, up to east, north, up: a quarter of a turn about the vertical. */
 static void attitude(const filter_state *filter, real *q)
 {
-    const real c = (real)0.70710678118654752;
-    q[0] = c * (filter->q[0] - filter->q[3]);
-    q[1] = c * (filter->q[1] - filter->q[2]);
-    q[2] = c * (filter->q[2] + filter->q[1]);
-    q[3] = c * (filter->q[3] + filter->q[0]);
+    to_east_north_up(filter->q, q);
 }
