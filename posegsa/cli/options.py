@@ -19,6 +19,7 @@ from posegsa.recordings.policies import LONGEST_GAP, Policy
 
 if TYPE_CHECKING:
     from posegsa.judging.result import Result
+    from posegsa.recordings.frames import Frame
     from posegsa.recordings.recording import Recording
     from posegsa.search.configured_filters import OwnFilter
 
@@ -242,7 +243,7 @@ def read(
     return found if part is None else [each.window(*part) for each in found]
 
 
-def warn_of_mistakes(recordings: "Iterable[Recording]", frame: str | None = None) -> None:
+def warn_of_mistakes(recordings: "Iterable[Recording]", frame: "Frame | None" = None) -> None:
     """Warn of the mistakes that recordings seem to have, before a filter runs on them.
 
     Args:
@@ -251,14 +252,12 @@ def warn_of_mistakes(recordings: "Iterable[Recording]", frame: str | None = None
     """
     from dataclasses import replace
 
-    import numpy as np
-
     from posegsa.recordings.data_check import check
-    from posegsa.recordings.frames import NORTH
+    from posegsa.recordings.rotations import to_east_north_up
 
     for one in recordings:
-        if frame not in (None, "ENU") and one.truth is not None:
-            to_enu = np.array([np.cross(NORTH[frame], UP[frame]), NORTH[frame], UP[frame]])
-            one = replace(one, truth=one.truth._replace(rotation=to_enu @ one.truth.rotation))
+        if frame is not None and one.truth is not None:  # the check expects east, north, up
+            rotation = to_east_north_up(frame) @ one.truth.rotation
+            one = replace(one, truth=one.truth._replace(rotation=rotation))
         for words in check(one).findings:
             warnings.warn(f"{one.name}: {words}", PosegsaWarning, stacklevel=2)

@@ -20,6 +20,7 @@ from posegsa.model.measurements import finite_array
 from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame
 from posegsa.recordings.imu_advice import advice
 from posegsa.recordings.recording import Recording
+from posegsa.recordings.rotations import to_east_north_up
 from posegsa.recordings.start import Start
 from posegsa.recordings.units import check_units
 
@@ -86,7 +87,7 @@ def imu(
     acc = finite_array("acc", acc, (len(gyr), 3), finite=False)
     if mag is not None:
         mag = finite_array("mag", mag, (len(gyr), 3), finite=False)
-    for name in _OWN.intersection(more):
+    for name in _FROM_SIGNALS.intersection(more):
         raise RecordingError(f"{name}: follows from gyr, acc and mag; allowed: imu without it")
     sources = {"angular velocity": "measured (gyroscope)"} | more.pop("sources", {})
     sensors = {"accelerometer": acc} | ({} if mag is None else {"magnetometer": mag})
@@ -129,7 +130,7 @@ def as_imu(recording: Recording, *, frame: Frame = "ENU") -> ImuRecording:
     )
 
 
-_OWN = {
+_FROM_SIGNALS = {
     *("angular_velocity", "velocity", "sensors", "start", "weights_by_rate"),
     *("vectors", "vector_references", "vector_weights"),
     *("landmarks", "landmark_references", "landmark_weights"),
@@ -198,9 +199,8 @@ def _first_attitude(acc: np.ndarray, mag: np.ndarray | None, frame: Frame) -> np
             "that is not, or mag=None"
         )
     east = east / np.linalg.norm(east)
-    to_east_north_up = np.stack([east, np.cross(up, east), up])
-    axes = np.stack([np.cross(NORTH[frame], UP[frame]), NORTH[frame], UP[frame]])
-    return axes.T @ to_east_north_up
+    to_axes = np.stack([east, np.cross(up, east), up])
+    return to_east_north_up(frame).T @ to_axes
 
 
 def _first(name: str, values: np.ndarray) -> np.ndarray:

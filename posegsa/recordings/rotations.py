@@ -1,6 +1,8 @@
-"""Rotations on the host, in float64: quaternions (w, x, y, z) and matrices."""
+"""Rotations on the host, in float64: quaternions (w, x, y, z), matrices, and those of frames."""
 
 import numpy as np
+
+from posegsa.recordings.frames import NORTH, UP, Frame
 
 
 def matrices(quaternions: np.ndarray) -> np.ndarray:
@@ -60,3 +62,8 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
     """Rotation (3, 3) by an angle [rad] about an axis (3,) of length one."""
     half = 0.5 * angle
     return matrices(np.concatenate([[np.cos(half)], np.sin(half) * np.asarray(axis)]))
+
+
+def to_east_north_up(frame: Frame) -> np.ndarray:
+    """The rotation (3, 3) that takes coordinates in a frame to east, north, up."""
+    return np.array([np.cross(NORTH[frame], UP[frame]), NORTH[frame], UP[frame]], float)

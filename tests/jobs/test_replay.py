@@ -2,6 +2,7 @@
 
 import json
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 from helpers.experiments import tiny
 from helpers.messages import assert_states
-from helpers.recordings import bench, motion
+from helpers.recordings import bench, inertial_motion, motion
 from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa.cli.command import main
+from posegsa.cli.options import warn_of_mistakes
 from posegsa.errors import ArgumentError, MeasurementError, RunFolderError
 from posegsa.figures.replay_figures import draw_replay
 from posegsa.figures.style import png
@@ -287,3 +289,20 @@ def test_a_recording_without_a_start_costs_no_other_its_result(
     (data,) = json.loads((out / "replay.json").read_text())["recordings"]
     assert data["name"] == "bench"
     assert main(["replay", str(tmp_path / "run"), paths[0]]) == 2
+
+
+def test_a_recording_is_checked_in_its_own_frame() -> None:
+    given = inertial_motion(2.0, 20.0, noise=0.1, frame="NED")
+    sensors = {"accelerometer": given.pop("acc"), "magnetometer": given.pop("mag")}
+    one = Recording.from_arrays(
+        time_step=1 / given.pop("rate"),
+        angular_velocity=given.pop("gyr"),
+        sensors=sensors,
+        **given,
+    )
+    with warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        warn_of_mistakes([one], "NED")
+        assert not noted
+        warn_of_mistakes([one])
+    assert any("look opposite" in str(each.message) for each in noted)
