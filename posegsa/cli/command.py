@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("posegsa: standard output is closed", file=sys.stderr)
         return 1
     # Traced programs are millions of long-lived objects: garbage collection as often as Python does
-    # # it by default takes a tenth of the time of a short command.
+    # it by default takes a tenth of the time of a short command.
     gc.set_threshold(100_000, 50, 100)
     try:
         try:

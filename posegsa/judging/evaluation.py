@@ -286,9 +286,9 @@ class Evaluation:
         listed, better = ", ".join(others), self.better
         if others and all(math.isnan(self.difference(name).low) for name in others):
             why = "too few scenarios, or infinite costs"
-            return f"{head} It cannot be compared with what is beside it ({listed}): {why}."
+            return f"{head} It cannot be compared with the others ({listed}): {why}."
         if not better:
-            return f"{head} No filter beside it ({listed}) costs less by more than chance."
+            return f"{head} No other filter ({listed}) costs less by more than chance."
         parts = [
             f"{called(name)} by {less.mean:.3g} ({less.low:.3g} to {less.high:.3g})"
             for name, less in better.items()

@@ -273,7 +273,7 @@ def test_a_difference_that_may_be_chance_is_not_in_the_verdict():
     noise = np.resize([1.0, -1.0], given.scenarios)
     own = given.contenders[TUNED].metrics.cost
     given = changed(given, CONSTANT, cost=own - 0.01 + noise)
-    assert "No filter beside it (best constant gains) costs less" in given.verdict()
+    assert "No other filter (best constant gains) costs less" in given.verdict()
 
 
 def test_what_cannot_be_compared_is_told():
