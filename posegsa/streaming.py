@@ -21,7 +21,7 @@ from posegsa.judging.result import Result
 from posegsa.model import limits
 from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.measurements import finite_array
-from posegsa.model.observability import why_attitude_unobservable, why_unobservable
+from posegsa.model.observability import are_collinear, why_attitude_unobservable, why_unobservable
 from posegsa.recordings.imu import references as imu_references
 
 FORMAT = 4
@@ -138,6 +138,8 @@ class PoseFilter:
         self._landmarks = _Sensors("landmark", landmarks, landmark_weights, of_landmarks)
         self._dtype, self._kind = _dtype_of(filter), type(filter).__name__
         limits.VECTOR.checked("vector_references", vectors)
+        if self._inertial and len(vectors) == 2 and are_collinear(*vectors):
+            refuse("vector_references: are parallel", "up and north, which are not")
         limits.POSITION.checked("landmark_references", landmarks)
         start = self._state(rotation, position, bias)
         parameters = OnlineParameters(filter, vectors, landmarks)
@@ -197,7 +199,7 @@ class PoseFilter:
         if acc is not None or mag is not None:
             if not self._inertial or vectors is not None:
                 refuse("acc, mag", "without vectors, and only for the attitude filter (imu)")
-            vectors = [acc, mag]
+            vectors = [_signal("acc", acc), _signal("mag", mag)]
         omega = self._held("angular_velocity", angular_velocity, 0, ages, limits.ANGULAR_VELOCITY)
         still = velocity is None and self._attitude_only
         v = self._held("velocity", _STILL if still else velocity, 1, ages, limits.VELOCITY)
@@ -534,6 +536,14 @@ def _is_inertial(source: Any) -> bool:
     if isinstance(source, Result):
         return source.filter.kind == "imu"
     return isinstance(source, AttitudeFilter)
+
+
+def _signal(name: str, value: ArrayLike | None) -> np.ndarray | None:
+    """A signal (3,) of an inertial sensor, checked by its own name; it may be missing."""
+    if value is None:
+        return None
+    signal = finite_array(name, value, (3,), finite=False)
+    return signal if np.isnan(signal).any() else limits.VECTOR.checked(name, signal)
 
 
 def _number(value: Any) -> float:

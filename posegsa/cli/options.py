@@ -186,7 +186,7 @@ def window(text: str) -> tuple[float, float]:
 
 def add_frame(parser: argparse._ActionsContainer) -> None:
     """--frame, for the filter for inertial sensors."""
-    words = "only with imu: x, y and z of the inertial frame (default: ENU)"
+    words = "only with imu: x, y and z of the inertial frame (default: a recording's own, or ENU)"
     parser.add_argument("--frame", choices=tuple(UP), help=words)
 
 
@@ -201,7 +201,7 @@ def in_frame(
     from posegsa.recordings.imu import as_imu
 
     if kind == "imu":
-        return [as_imu(each, frame=options.frame or "ENU") for each in recordings]
+        return [as_imu(each, frame=options.frame) for each in recordings]
     if options.frame is not None:
         raise ArgumentError("--frame; allowed: with the filter for inertial sensors (imu)")
     return recordings

@@ -12,6 +12,7 @@ GROUPS = "phases", "sources", "sensors"
 """Arguments that are dictionaries: each entry is an array named "group/key"."""
 START = "start_rotation", "start_position", "start_bias"
 WORDS = "name", "start"
+BY_RATE = "weights_by_rate"
 OUTLIER = "landmark_outlier"
 """Name of an argument that is a number or "off"."""
 ARRAYS = (
@@ -41,13 +42,15 @@ def read_npz(path: str | Path) -> dict[str, Any]:
             found[name] = str(array)
         elif name == "notes":
             found[name] = tuple(map(str, np.ravel(array)))
+        elif name == BY_RATE and array.ndim == 0 and array.dtype == bool:
+            found[name] = bool(array)
         elif name == OUTLIER:
             found[name] = array.item() if array.ndim == 0 else array
         elif name in ARRAYS:
             found[name] = array
         else:
             allowed = ", ".join(
-                (*ARRAYS, *WORDS, *START, OUTLIER, "notes", *(f"{g}/..." for g in GROUPS))
+                (*ARRAYS, *WORDS, *START, BY_RATE, OUTLIER, "notes", *(f"{g}/..." for g in GROUPS))
             )
             raise RecordingError(f"{path}: holds {name!r}; allowed: {allowed}")
     if "angular_velocity" not in found:

@@ -18,7 +18,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.errors import RecordingError
-from posegsa.model.measurements import finite_array
+from posegsa.model.measurements import finite_array, finite_rows
 from posegsa.recordings.policies import Policy
 from posegsa.words import counted
 
@@ -148,7 +148,7 @@ def bridged_samples(
             )
         found, source = _filled(found, source, gaps, usual)
         notes.append(f"{words}: bridged by {counted(int((source < 0).sum()), 'sample')} ({policy})")
-    unknown = (source < 0) | ~np.isfinite(velocities[source]).all(axis=1)
+    unknown = (source < 0) | ~finite_rows(velocities)[source]
     lost = unknown & (source >= 0)
     if lost.any():
         k = int(source[np.argmax(lost)])
@@ -163,7 +163,7 @@ def bridged_samples(
 def known_everywhere(bridged: Bridged, values: np.ndarray, policy: Policy) -> np.ndarray:
     """Velocities (N, d) at the bridged samples from the recorded ones (K, d)."""
     spread = bridged.spread(values, np.nan)
-    missing = ~np.isfinite(spread).all(axis=1)
+    missing = ~finite_rows(spread)
     if not missing.any():
         return spread
     known = np.flatnonzero(~missing)

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 from posegsa.arguments import check_number, check_type
 from posegsa.errors import RecordingError
 from posegsa.filters.attitude import LONGEST_PAUSE
-from posegsa.model.measurements import finite_array
+from posegsa.model.measurements import finite_array, finite_rows
 from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame
 from posegsa.recordings.imu_advice import advice
 from posegsa.recordings.recording import Recording
@@ -98,13 +98,14 @@ def imu(
         raise RecordingError(words.replace("angular_velocity", "gyr")) from None
 
 
-def as_imu(recording: Recording, *, frame: Frame = "ENU") -> ImuRecording:
+def as_imu(recording: Recording, *, frame: Frame | None = None) -> ImuRecording:
     """An attitude-only recording with the raw signals of an inertial sensor as vectors.
 
     Args:
         recording: with "accelerometer" and, for a heading, "magnetometer" in its `sensors`, as from
             `Recording.from_broad` and `from_csv`.
-        frame: as in `imu`.
+        frame: as in `imu`; by default that of a recording that `imu` made and `save` wrote, or
+            "ENU".
 
     Raises:
         RecordingError: as in `imu`, or the recording has no accelerometer.
@@ -119,7 +120,7 @@ def as_imu(recording: Recording, *, frame: Frame = "ENU") -> ImuRecording:
     return _made(
         np.asarray(recording.measurements.angular_velocity),
         recording.sensors,
-        frame,
+        _frame_of(recording) if frame is None else frame,
         name=recording.name,
         time_step=recording.measurements.time_step,
         truth_rotation=None if truth is None else truth.rotation,
@@ -181,6 +182,13 @@ def as_read_by(kind: str, recording: Recording) -> Recording:
     return as_imu(recording)
 
 
+def _frame_of(recording: Recording) -> Frame:
+    """The frame that the references of a recording are in, if they are those of `imu`."""
+    known = np.asarray(recording.measurements.vector_references)
+    same = (frame for frame in UP if np.array_equal(known[0], references(frame)))
+    return next(same, "ENU")
+
+
 def _first_attitude(acc: np.ndarray, mag: np.ndarray | None, frame: Frame) -> np.ndarray:
     """R (3, 3), body to inertial, of the first sample of both sensors.
 
@@ -227,5 +235,5 @@ def _in_words(acc: np.ndarray, mag: np.ndarray | None) -> dict[str, str]:
 
 
 def _measured(values: np.ndarray) -> str:
-    missing = int(np.sum(~np.isfinite(values).all(axis=1)))
+    missing = int(np.sum(~finite_rows(values)))
     return f"measured; {missing} of {len(values)} samples missing" if missing else "measured"

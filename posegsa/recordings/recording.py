@@ -530,14 +530,15 @@ class Recording:
             RecordingError: the file cannot be written.
         """
         m = {name: np.asarray(a) for name, a in self.measurements._asdict().items()}
+        intervals = {kind: getattr(self, f"{kind}_interval") for kind in ("vector", "landmark")}
         seen = {}
-        for kind in ("vector", "landmark"):
+        for kind, interval in intervals.items():
             if m[f"{kind}s"].shape[1]:
                 values, weights = m[f"{kind}s"], m[f"{kind}_weights"]
                 # As arguments of from_arrays: NaN where missing, weights before weights_by_rate.
                 seen[f"{kind}s"] = np.where(weights[..., None] > 0, values, math.nan)
                 seen[f"{kind}_references"] = m[f"{kind}_references"]
-                seen[f"{kind}_weights"] = weights / getattr(self, f"{kind}_interval")
+                seen[f"{kind}_weights"] = weights / interval
         if "landmarks" in seen:
             seen["landmark_outlier"] = "off"  # outliers have weight 0 already and are in the notes
         start = self.start
@@ -554,6 +555,8 @@ class Recording:
             "judged": self.judged,
             "start": start,
             "notes": self.notes,
+            # Where all are 1, weights may have been left as they were given.
+            "weights_by_rate": any((interval != 1).any() for interval in intervals.values()),
         }
         groups = {name: getattr(self, name) for name in ("phases", "sources", "sensors")}
         write_npz(path, arguments | groups)

@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from posegsa.errors import RecordingError
+from posegsa.model.measurements import finite_rows
 
 DEGREE = math.pi / 180
 WINDOW = 0.1
@@ -31,7 +32,7 @@ def check_units(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> None:
         acc: (K, 3), expected in m/s^2; NaN where missing.
         time_step: of all samples [s].
     """
-    lengths = np.linalg.norm(acc[np.isfinite(acc).all(axis=1)], axis=1)
+    lengths = np.linalg.norm(acc[finite_rows(acc)], axis=1)
     if not lengths.size:
         raise RecordingError("acc: holds no finite sample; allowed: specific force [m/s^2]")
     median = float(np.median(lengths))
@@ -67,7 +68,7 @@ def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float 
     u = u / np.maximum(np.linalg.norm(u, axis=1, keepdims=True), np.finfo(float).tiny)
     moved = u[1:] - u[:-1]
     expected = -np.cross(0.5 * (turned[1:] + turned[:-1]), 0.5 * (u[1:] + u[:-1]))
-    known = np.isfinite(moved).all(axis=1)
+    known = finite_rows(moved)
     moved, expected = moved[known], expected[known]
     if np.sum(moved**2) < MIN_TURN:
         return None

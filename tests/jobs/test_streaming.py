@@ -567,3 +567,12 @@ def test_names_of_inertial_sensors_are_only_of_the_attitude_filter(result) -> No
         posegsa.PoseFilter(result, **START).update(**still)
     with pytest.raises(MeasurementError, match="angular_velocity: missing"):
         live.update(time_step=0.01, acc=[0, 0, 9.81])
+    with pytest.raises(MeasurementError, match=r"mag: must have the shape \(3\)"):
+        live.update(**still, mag=[1.0, 2.0])
+    with pytest.raises(MeasurementError, match=r"acc = 1e\+09; allowed"):
+        live.update(**still | {"acc": [0, 0, 1e9]})
+
+
+def test_the_attitude_filter_needs_two_references_that_are_not_parallel() -> None:
+    with pytest.raises(ArgumentError, match="vector_references: are parallel"):
+        posegsa.PoseFilter("imu", vector_references=[[0, 0, 9.81], [0, 0, -1]])

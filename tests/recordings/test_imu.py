@@ -1,5 +1,6 @@
 """Recordings of an inertial sensor, as the attitude filter reads them."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,7 +63,7 @@ def test_without_a_magnetometer_the_heading_is_free_and_that_is_said() -> None:
 def test_a_recording_is_made_again_from_its_sensors() -> None:
     given = inertial_motion(noise=1.0)
     first = posegsa.imu(**given, name="bench", phases={"late": np.arange(900) > 700})
-    again = posegsa.as_imu(posegsa.as_imu(first, frame="NED"))
+    again = posegsa.as_imu(posegsa.as_imu(first, frame="NED"), frame="ENU")
     for found, expected in zip(again.measurements, first.measurements, strict=True):
         np.testing.assert_array_equal(found, expected)
     assert (again.name, again.attitude_only) == ("bench", True)
@@ -114,6 +115,18 @@ def test_a_gap_is_bridged_before_anything_is_made() -> None:
 def test_what_cannot_be_used_is_refused_by_name(changed: dict[str, Any], message: str) -> None:
     with pytest.raises(posegsa.PosegsaError, match=message):
         posegsa.imu(**(inertial_motion() | changed))
+
+
+@pytest.mark.parametrize("frame", ["ENU", "NED"])
+def test_a_saved_recording_keeps_its_frame(tmp_path: Path, frame: Any) -> None:
+    given = inertial_motion(frame=frame)
+    given["mag"][::2] = np.nan
+    made = posegsa.imu(**given, frame=frame)
+    made.save(tmp_path / "saved.npz")
+    read = posegsa.as_imu(Recording.read(tmp_path / "saved.npz"))
+    assert read.frame == frame
+    for name, values in made.measurements._asdict().items():
+        np.testing.assert_array_equal(getattr(read.measurements, name), values, err_msg=name)
 
 
 def test_a_field_without_heading_is_refused() -> None:

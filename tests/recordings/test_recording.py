@@ -1,5 +1,6 @@
 """Recordings from a user's arrays: what is refused, what is bridged, and the initial estimate."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -88,6 +89,20 @@ def test_weights_go_with_the_rate_of_their_sensor() -> None:
     np.testing.assert_array_equal(recording.vector_interval, 1.0)
     as_given = Recording.from_arrays(**given, landmark_weights=0.5, weights_by_rate=False)
     assert set(np.unique(as_given.measurements.landmark_weights)) == {0.0, 0.5}
+
+
+@pytest.mark.parametrize("by_rate", [True, False])
+def test_weights_are_the_same_once_saved_and_read(tmp_path: Path, by_rate: bool) -> None:
+    given = motion()
+    given["landmarks"][np.arange(400) % 10 != 0] = np.nan
+    saved = Recording.from_arrays(**given, weights_by_rate=by_rate)
+    saved.save(tmp_path / "saved.npz")
+    read = Recording.read(tmp_path / "saved.npz")
+    for name in ("landmark_weights", "vector_weights"):
+        np.testing.assert_array_equal(
+            getattr(read.measurements, name), getattr(saved.measurements, name)
+        )
+    np.testing.assert_array_equal(read.landmark_interval, saved.landmark_interval)
 
 
 # Missing samples -----------------------------------------------------------------------------
