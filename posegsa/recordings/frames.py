@@ -6,9 +6,13 @@ Frame = Literal["ENU", "NED", "NWU"]
 """The axes x, y, z of the inertial frame: east, north, up; north, east, down; north, west, up.
 North is magnetic north."""
 
-UP: dict[str, tuple[float, float, float]] = {"ENU": (0, 0, 1), "NED": (0, 0, -1), "NWU": (0, 0, 1)}
+UP: dict[Frame, tuple[float, float, float]] = {
+    "ENU": (0, 0, 1),
+    "NED": (0, 0, -1),
+    "NWU": (0, 0, 1),
+}
 """The direction up in each frame."""
-NORTH: dict[str, tuple[float, float, float]] = {
+NORTH: dict[Frame, tuple[float, float, float]] = {
     "ENU": (0, 1, 0),
     "NED": (1, 0, 0),
     "NWU": (1, 0, 0),

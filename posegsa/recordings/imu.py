@@ -185,8 +185,10 @@ def as_read_by(kind: str, recording: Recording) -> Recording:
 def _frame_of(recording: Recording) -> Frame:
     """The frame that the references of a recording are in, if they are those of `imu`."""
     known = np.asarray(recording.measurements.vector_references)
-    same = (frame for frame in UP if np.array_equal(known[0], references(frame)))
-    return next(same, "ENU")
+    for frame in UP:
+        if np.array_equal(known[0], references(frame)):
+            return frame
+    return "ENU"
 
 
 def _first_attitude(acc: np.ndarray, mag: np.ndarray | None, frame: Frame) -> np.ndarray:
