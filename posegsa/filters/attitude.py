@@ -38,12 +38,13 @@ by up to tan(dip) times as much: that too is added to the heading's variance.
 VQF), the gyroscope measures its bias, and "v is 0" is measured with less noise.
 
 **Outliers and pauses.** A vector that is far too long is ignored, unless such fields last longer
-than the others: then the first one was wrong. After a pause in the samples the attitude is found
-anew.
+than the others: then the first one was wrong. So it was if the fields of the first seconds are not
+believed for longer than they are. After a pause in the samples the attitude is found anew, and so
+it is where gravity points upwards on average, as then the estimate is upside down.
 
-**Start.** The first acceleration turns the initial attitude upright, the first field to the north,
-by the smallest rotations that do so; large variances then let both improve in seconds. Without a
-magnetometer the initial heading stays, and drifts.
+**Start.** The first acceleration of about the length of gravity turns the initial attitude upright,
+the first field to the north, by the smallest rotations that do so; large variances then let both
+improve in seconds. Without a magnetometer the initial heading stays, and drifts.
 
 A gyroscope sample is the mean over the interval before its time stamp, or after it
 (`gyroscope_interval`). If before, the estimate at the next sample is predicted by the last value,
@@ -54,7 +55,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -73,7 +74,10 @@ from posegsa.filters.attitude_covariance import (
     Found,
     corrected,
     entry_of,
+    forgotten,
     propagated,
+    turned,
+    turned_about_up,
 )
 from posegsa.filters.base import Record, Samples, Sensors
 from posegsa.model.elementwise import choose, maximum, minimum, only_if
@@ -113,19 +117,33 @@ REST_VELOCITY = 0.05
 """Noise density of "v is 0" at rest [m/s sqrt(s)]."""
 ACCELERATION = 0.03
 """Noise density of the accelerometer [m/s^2 sqrt(s)]."""
-REST_MEAN, REST_TIME = 0.5, 1.5
-"""Time constant of the means that detect rest, and how long the sensors must stay near them [s]."""
+REST_MEAN, REST_TIME = 0.5, 1.4999
+"""Time constant of the means that detect rest, and how long the sensors must stay near them [s]:
+just under 1.5 s, so that the rounding of a sum of time steps decides nothing."""
 REST_TURNING, REST_SHAKING = float(np.deg2rad(2.0)), 0.5
 """Largest distances from these means at rest [rad/s, m/s^2]."""
 LARGEST_BIAS = float(np.deg2rad(6.0))
-"""Maximum bias of a gyroscope [rad/s]; above it the body turns at a constant rate."""
+"""Maximum bias of a gyroscope [rad/s], by axis; above it the body turns at a constant rate."""
 FIELD_NOISE_TIME = 0.1
 """Time constant of the low-pass filter of d, so that noise is no disturbance [s]."""
-LONGEST_PAUSE = 0.25
+LONGEST_PAUSE = 0.2501
 """Time between two samples [s] above which the attitude is found anew, as at the start: the
-gyroscope has not measured how the body turned in between."""
+gyroscope has not measured how the body turned in between. Just over 0.25 s, as for REST_TIME."""
+LEVELLING = 0.5, 2.0
+"""Range of the first acceleration's length, in multiples of gravity: one that is much longer or
+shorter does not show where up is."""
+UPRIGHT_TIME, UPSIDE_DOWN = 1.5, -0.05
+"""Time constant of the mean vertical part of the acceleration, in multiples of gravity within -1
+and 1 [s], and the value under which the estimate is upside down: a body does not fall faster than
+freely for seconds."""
+DOUBTED, DOUBTED_AGE = 0.5, 10.0
+"""Distance d from which on the first field may be wrong, and time of fields without such a distance
+[s] after which it was right: then the field is disturbed."""
 LONGEST_REFUSAL = 1.0
 """Time of refused fields [s] after which they may be right and the first field wrong."""
+ASTRAY, ASTRAY_TIME = math.cos(math.radians(45)), 3.0
+"""Cosine of the angle between a believed field and north, and the time of a larger one [s] after
+which the heading counts as unknown: its variance does not grow with a fault of the gyroscope."""
 SMALL_ANGLE = 0.5
 """Angle between two samples [rad] up to which a short series gives the rotation."""
 ALL_TURNING = 0.5
@@ -134,6 +152,10 @@ AS_MEASURED = VectorSettings(
     weights=None, cross_weight=0.0, normalise=False, cross=False, each_agent=True
 )
 """Settings that leave the vectors as measured."""
+
+
+Started = tuple[Quaternion, tuple[Array, Array], Covariance]
+"""What the first acceleration and the first field change: attitude, velocity, covariance."""
 
 
 class AttitudeNumbers(NamedTuple):
@@ -207,6 +229,12 @@ class AttitudeState(NamedTuple):
     """Time since the last field that was used [s], at most LONGEST_PAUSE."""
     field_refused: Array
     """Time of the fields since then that were too long [s]."""
+    field_doubted: Array
+    """Time for which d has been above DOUBTED [s]."""
+    astray_time: Array
+    """Time of believed fields since the field last pointed about north [s]."""
+    upwards: Array
+    """Mean vertical part of the acceleration over UPRIGHT_TIME, in multiples of gravity."""
     slow_turning: Vec3
     """Mean of the gyroscope over REST_MEAN [rad/s], body frame."""
     slow_force: Vec3
@@ -277,9 +305,9 @@ class AttitudeFilter:
         _check_vectors(sensors.vectors)
         zero = jnp.zeros_like(initial.place[0])
         zeros = (zero, zero, zero)
-        variances = [zero + s * s for s in INITIAL_DEVIATIONS]
-        variances += [zero + self.numbers.initial_bias * self.numbers.initial_bias] * 3
-        variances += [zero + INITIAL_VELOCITY * INITIAL_VELOCITY] * 2
+        variances = _at_start(zero)
+        for of_bias in range(BIAS, VELOCITY):
+            variances[of_bias] = zero + self.numbers.initial_bias * self.numbers.initial_bias
         return AttitudeState(
             estimate=FilterState(initial.attitude, zeros, initial.bias_angular, zeros),
             at_sample=initial.attitude,
@@ -296,6 +324,9 @@ class AttitudeFilter:
             field_age=zero - 1,
             field_gap=zero,
             field_refused=zero,
+            field_doubted=zero,
+            astray_time=zero,
+            upwards=zero + 1,
             slow_turning=zeros,
             slow_force=zeros,
             still_time=zero,
@@ -326,42 +357,54 @@ class AttitudeFilter:
         # Outliers, and the first acceleration and the first field, which set the attitude.
         a, m, parts = force.measured, field_seen.measured, state.parts
         longest = numbers.outlier * gravity
-        of_force = choose(dot(a, a) < longest * longest, force.factor, 0.0)
-        level = (of_force > 0) & (state.upright < 1)
-        upright = maximum(state.upright, choose(of_force > 0, jnp.ones_like(dt), 0.0))
+        square, (least, most) = dot(a, a), (share * gravity for share in LEVELLING)
+        of_force = choose(square < longest * longest, force.factor, 0.0)
+        shows_up = (of_force > 0) & (square > least * least) & (square < most * most)
+        level = shows_up & (state.upright < 1)
+        upright = maximum(state.upright, choose(shows_up, jnp.ones_like(dt), 0.0))
+        of_force = choose(upright > 0, of_force, 0.0)
         longest = numbers.outlier * numbers.outlier * (parts[0] * parts[0] + parts[1] * parts[1])
         plausible = dot(m, m) < longest
         # Fields that were refused for longer than others were used are no outliers: the first one
-        # was too short.
+        # was too short. Where fields are doubted for longer than the few before them were believed,
+        # it was too long or had another direction.
         outvoted = state.field_refused >= maximum(state.field_age, LONGEST_REFUSAL)
-        restart = (state.field_age < 0) | (outvoted & jnp.logical_not(plausible))
+        believed_time = state.field_age - state.field_doubted
+        doubted = state.field_doubted >= maximum(believed_time, LONGEST_REFUSAL)
+        wrong = (outvoted & jnp.logical_not(plausible)) | (doubted & (believed_time < DOUBTED_AGE))
+        restart = (state.field_age < 0) | wrong
         of_field = choose((plausible | restart) & (upright > 0), field_seen.factor, 0.0)
         first = (of_field > 0) & restart
         # A sample stands for the time until the next one, but not for a pause.
         paused, span = dt > LONGEST_PAUSE, minimum(dt, LONGEST_PAUSE)
-        q = only_if(level | first, lambda q: _set(q, level, first, axes, a, m), q)
+        started = q, state.velocity, state.covariance
+        q, velocity, covariance = only_if(
+            level | first, lambda old: _set(old, level, first, axes, a, m), started
+        )
 
         R = _in(axes, rows(q))
         still, slow_turning, slow_force = _stillness(state, gyr, a, of_force, span)
         still_time = choose(still, state.still_time + span, 0.0)
         rests = still_time >= REST_TIME
-        state = state._replace(upright=upright)
+        state = state._replace(upright=upright, velocity=velocity, covariance=covariance)
         # A slow magnetometer's sample speaks for the time since the one before.
         field_span = span + state.field_gap
-        state = self._with_field(state, R, omega, m, of_field, field_span, first)
+        state = self._with_field(state, R, omega, m, of_field, field_span, first, wrong)
 
         # Corrections, each by a scalar measurement.
         correction = (jnp.zeros_like(dt),) * STATES
-        found = state.covariance, correction
+        unknown = forgotten(state.covariance, {UP: jnp.full_like(dt, INITIAL_HEADING**2)})
+        astray = state.astray_time >= ASTRAY_TIME
+        found = jax.tree.map(partial(choose, astray), unknown, state.covariance), correction
         spread = choose(rests, jnp.full_like(dt, REST_VELOCITY), numbers.velocity)
         felt = choose(of_force > 0, span, 0.0)
         for i in range(2):
             found = corrected(found, VELOCITY + i, -state.velocity[i], spread * spread, felt)
-        f, (level_mean, upwards) = state.field, state.parts
+        f, (level_mean, up_mean) = state.field, state.parts
         level_length = norm((f[0], f[1], jnp.zeros_like(dt)))
         known = (of_field > 0) & (level_length > 0) & (level_mean > 0)
         safe = choose(known, level_length, 1.0)
-        dip = upwards / choose(known, level_mean, 1.0)
+        dip = up_mean / choose(known, level_mean, 1.0)
         tilt = entry_of(state.covariance, EAST, EAST) + entry_of(state.covariance, NORTH, NORTH)
         seen = choose(known, field_span * state.field_belief * of_field, 0.0)
         tilted = 0.5 * numbers.inclination_in_heading * dip * dip * tilt
@@ -375,14 +418,21 @@ class AttitudeFilter:
         cosine = 1 / jnp.sqrt(1 + 0.25 * dot(angle, angle))
         sine = 0.5 * cosine
         q = compose((cosine, *scale(sine, _out(axes, angle))), q)
-        bias = add(bias, (x[3], x[4], x[5]))
+        bias = _within(add(bias, (x[3], x[4], x[5])), LARGEST_BIAS)
         v = state.velocity[0] + x[6], state.velocity[1] + x[7]
         f = rotate(rows((cosine, *scale(sine, angle))), f)
+
+        believed = choose((of_field > 0) & (state.field_belief > 0.5), field_span, 0.0)
+        astray = f[1] < ASTRAY * safe
+        astray_time = choose(astray, state.astray_time + believed, 0.0)
+        astray_time = choose(of_field > 0, astray_time, state.astray_time)
 
         # The time until the next sample.
         R = _in(axes, rows(q))
         pushed = rotate(R, force.measured)
         v = v[0] + felt * pushed[EAST], v[1] + felt * pushed[NORTH]
+        up = maximum(minimum(pushed[UP] / gravity, 1.0), -1.0)
+        upwards = state.upwards + felt * (1 / UPRIGHT_TIME) * (up - state.upwards)
         omega = subtract(gyr, bias)
         next_attitude = product(q, _rotation_by(scale(dt, omega)))
         density = numbers.angular_velocity**2 + numbers.turning**2 * speed * speed
@@ -405,12 +455,15 @@ class AttitudeFilter:
             field=f,
             field_gap=choose(of_field > 0, jnp.zeros_like(dt), gap),
             field_refused=choose(of_field > 0, jnp.zeros_like(dt), refused),
+            astray_time=astray_time,
+            upwards=upwards,
             slow_turning=slow_turning,
             slow_force=slow_force,
             still_time=still_time,
         )
-        forgotten = _after_a_pause(after)
-        return jax.tree.map(partial(choose, paused), forgotten, after), Record()
+        lost = upwards < UPSIDE_DOWN
+        anew = _anew(after, lost, numbers.initial_bias)
+        return jax.tree.map(partial(choose, paused | lost), anew, after), Record()
 
     def _at_rest(self, found: Found, omega: Vec3, dt: Array) -> Found:
         """After what the gyroscope measures of its bias at rest.
@@ -434,6 +487,7 @@ class AttitudeFilter:
         factor: Array,
         span: Array,
         first: Array,
+        wrong: Array,
     ) -> AttitudeState:
         """The means of the field, and the belief in it, after a sample.
 
@@ -445,13 +499,17 @@ class AttitudeFilter:
             factor: 0 where it is missing.
             span: time that the sample stands for [s].
             first: whether the means begin with it.
+            wrong: whether they do since those before it were wrong.
         """
         numbers, seen, zero = self.numbers, factor > 0, jnp.zeros_like(span)
+        before, iron = (_where(first, state.field), _where(wrong, state.iron))
         age = choose(first, zero, state.field_age)
         time = span * factor
-        slow = unrotate(R, state.field)
-        late = choose(first, zero, numbers.magnetometer_delay)
-        m = subtract(subtract(measured, state.iron), scale(late, cross(omega, slow)))
+        slow, speed = unrotate(R, before), norm(omega)
+        # A body turns by little within the delay; what a faulty gyroscope says stays bounded, as f
+        # would grow without limit where the turn is above 1 rad.
+        delay = numbers.magnetometer_delay / maximum(numbers.magnetometer_delay * speed, 1.0)
+        m = subtract(subtract(measured, iron), scale(delay, cross(omega, slow)))
         earthly = rotate(R, m)
         level = norm((earthly[EAST], earthly[NORTH], zero))
         parts = tuple(
@@ -463,26 +521,27 @@ class AttitudeFilter:
         new = time / (FIELD_NOISE_TIME + time)
         off = tuple(
             old + new * ((now - mean) * per_size - old)
-            for old, now, mean in zip(state.off, (level, earthly[UP]), parts, strict=True)
+            for old, now, mean in zip(
+                _where(first, state.off), (level, earthly[UP]), parts, strict=True
+            )
         )
         square = off[0] * off[0] + off[1] * off[1]
         tolerance = numbers.field_tolerance * numbers.field_tolerance
         belief = tolerance / (tolerance + square)
         follow = numbers.disbelieved + (1 - numbers.disbelieved) * belief
-        turning = minimum(norm(omega) * (1 / ALL_TURNING), jnp.ones_like(span))
-        residual = subtract(earthly, state.field)
+        turning = minimum(speed * (1 / ALL_TURNING), jnp.ones_like(span))
+        residual = subtract(earthly, before)
         share = maximum(time / (numbers.field_time + time), time / (age + time + 1e-9))
         to_iron = minimum(time * turning * follow / numbers.iron_time, jnp.ones_like(span))
         weight = time * turning * follow
-        before = choose(first, zero, state.parts_time)
-        parts_time = minimum(before + weight, numbers.field_memory)
-        to_parts = weight / (parts_time + 1e-6)
+        parts_time = choose(first, zero, state.parts_time)
+        parts_time = minimum(parts_time + weight, numbers.field_memory)
+        to_parts = minimum(weight / (parts_time + 1e-6), 1.0)
+        near = square < DOUBTED * DOUBTED
+        doubted = choose(first | near, zero, state.field_doubted + span)
         changed = state._replace(
-            field=add(state.field, scale(share, residual)),
-            iron=add(
-                state.iron,
-                scale(choose(first, zero, to_iron), unrotate(R, residual)),
-            ),
+            field=add(before, scale(share, residual)),
+            iron=add(iron, scale(choose(first, zero, to_iron), unrotate(R, residual))),
             parts=(
                 parts[0] + to_parts * (level - parts[0]),
                 parts[1] + to_parts * (earthly[UP] - parts[1]),
@@ -491,23 +550,38 @@ class AttitudeFilter:
             off=(off[0], off[1]),
             field_belief=belief,
             field_age=age + span,
+            field_doubted=doubted,
         )
         return jax.tree.map(lambda new, old: choose(seen, new, old), changed, state)
 
 
-def _after_a_pause(state: AttitudeState) -> AttitudeState:
-    """The state at the first sample after a pause: what is known of the attitude is forgotten."""
+def _at_start(zero: Array) -> dict[int, Array]:
+    """Variances of attitude and velocity at the start, by state."""
+    deviations = dict(enumerate(INITIAL_DEVIATIONS))
+    deviations |= dict.fromkeys(range(VELOCITY, STATES), INITIAL_VELOCITY)
+    return {state: zero + deviation * deviation for state, deviation in deviations.items()}
+
+
+def _anew(state: AttitudeState, lost: Array, initial_bias: Array) -> AttitudeState:
+    """The state before a start: what is known of the attitude is forgotten.
+
+    Args:
+        state: after a sample.
+        lost: whether the estimate was wrong, so that bias and iron are wrong too; else they stay.
+        initial_bias: its standard deviation at the start [rad/s].
+    """
     zero = jnp.zeros_like(state.last_step)
-    known = [[entry_of(state.covariance, i, j) for j in range(STATES)] for i in range(STATES)]
-    deviations = (*INITIAL_DEVIATIONS, None, None, None, INITIAL_VELOCITY, INITIAL_VELOCITY)
-    for i, deviation in enumerate(deviations):
-        if deviation is not None:
-            for j in range(STATES):
-                known[i][j] = known[j][i] = zero
-            known[i][i] = zero + deviation * deviation
+    attitude_and_velocity = _at_start(zero)
+    of_bias = dict.fromkeys(range(BIAS, VELOCITY), zero + initial_bias * initial_bias)
+    kept = forgotten(state.covariance, attitude_and_velocity)
+    nothing = forgotten(state.covariance, attitude_and_velocity | of_bias)
+    bias = _where(lost, state.estimate.bias_angular)
     return state._replace(
+        estimate=state.estimate._replace(bias_angular=bias),
+        iron=_where(lost, state.iron),
+        upwards=zero + 1,
         velocity=(zero, zero),
-        covariance=tuple(tuple(known[i][i:]) for i in range(STATES)),
+        covariance=jax.tree.map(partial(choose, lost), nothing, kept),
         upright=zero,
         field_age=zero - 1,
         still_time=zero,
@@ -581,23 +655,33 @@ def _smallest_rotation(a: Vec3, b: Vec3, across: Vec3) -> Quaternion:
 
 
 def _set(
-    q: Quaternion, level: Array, first: Array, axes: Matrix3, force: Vec3, field_seen: Vec3
-) -> Quaternion:
+    old: Started, level: Array, first: Array, axes: Matrix3, force: Vec3, field_seen: Vec3
+) -> Started:
     """The attitude after the first acceleration and the first field.
 
+    The axes of the estimate turn with the heading, and so do velocity and covariance, which may
+    have been estimated before the first field.
+
     Args:
-        q: before them.
+        old: attitude, velocity and covariance before them.
         level: whether the acceleration is the first.
         first: whether the field is.
         axes: east, north and up in the inertial frame.
         force: the acceleration, body frame.
         field_seen: the field, body frame.
     """
+    q, velocity, covariance = old
     to_up = _smallest_rotation(_unit(rotate(rows(q), force)), axes[UP], axes[EAST])
     q = compose(_if(level, to_up), q)
     seen = rotate(rows(q), field_seen)
-    level_part = subtract(seen, scale(dot(seen, axes[UP]), axes[UP]))
-    return compose(_if(first, _smallest_rotation(_unit(level_part), axes[NORTH], axes[UP])), q)
+    level_part = _unit(subtract(seen, scale(dot(seen, axes[UP]), axes[UP])))
+    q = compose(_if(first, _smallest_rotation(level_part, axes[NORTH], axes[UP])), q)
+    sine = choose(first, dot(level_part, axes[EAST]), 0.0)
+    cosine = choose(first, dot(level_part, axes[NORTH]), 1.0)
+    covariance = turned_about_up(covariance, cosine, sine)
+    anew = forgotten(covariance, {UP: jnp.full_like(sine, INITIAL_HEADING**2)})
+    covariance = jax.tree.map(partial(choose, first), anew, covariance)
+    return q, turned(velocity, cosine, sine), covariance
 
 
 def _if(condition: Array, q: Quaternion) -> Quaternion:
@@ -627,6 +711,20 @@ def _stillness(
         & _is_within(turning, LARGEST_BIAS)
     )
     return still, turning, slow
+
+
+def _within(a: Vec3, limit: float) -> Vec3:
+    """A vector with each component limited."""
+    x, y, z = (maximum(minimum(s, limit), -limit) for s in a)
+    return x, y, z
+
+
+V = TypeVar("V", bound=tuple[Array, ...])
+
+
+def _where(none: Array, a: V) -> V:
+    """A vector, or zeros where the condition holds."""
+    return cast(V, tuple(choose(none, 0.0, s) for s in a))
 
 
 def _is_within(a: Vec3, length: float) -> Array:

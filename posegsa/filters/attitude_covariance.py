@@ -4,8 +4,10 @@ The states are the attitude error theta (rad; about east, north, up, R_true = ex
 error of the gyroscope's bias (rad/s, body frame) and the horizontal velocity's (m/s; east, north).
 """
 
+from collections.abc import Mapping
 from functools import partial
 
+import jax.numpy as jnp
 from jax import Array
 
 from posegsa.model.se3 import Matrix3, Vec3, dot, scale, subtract
@@ -49,6 +51,37 @@ def corrected(found: Found, state: int, residual: Array, noise: Array, weight: A
         ),
         tuple(a + surprise * g for a, g in zip(x, gain, strict=True)),
     )
+
+
+def forgotten(covariance: Covariance, variances: Mapping[int, Array]) -> Covariance:
+    """The covariance once states are unknown again, by index with their variances."""
+
+    def entry(i: int, j: int) -> Array:
+        if i == j and i in variances:
+            return variances[i]
+        known = entry_of(covariance, i, j)
+        return jnp.zeros_like(known) if i in variances or j in variances else known
+
+    return tuple(tuple(entry(i, j) for j in range(i, STATES)) for i in range(STATES))
+
+
+def turned_about_up(covariance: Covariance, cosine: Array, sine: Array) -> Covariance:
+    """The covariance once east and north are turned: (e, n) <- (c e - s n, s e + c n)."""
+    entries = [[entry_of(covariance, i, j) for j in range(STATES)] for i in range(STATES)]
+    for east, north in ((EAST, NORTH), (VELOCITY, VELOCITY + 1)):
+        for row in entries:
+            row[east], row[north] = turned((row[east], row[north]), cosine, sine)
+        # Rows after columns: the matrix stays symmetric, and only its upper half is kept.
+        pairs = zip(entries[east], entries[north], strict=True)
+        columns = [turned(pair, cosine, sine) for pair in pairs]
+        entries[east], entries[north] = [a for a, _ in columns], [b for _, b in columns]
+    return tuple(tuple(entries[i][i:]) for i in range(STATES))
+
+
+def turned(level: tuple[Array, Array], cosine: Array, sine: Array) -> tuple[Array, Array]:
+    """A vector (east, north) turned about up."""
+    east, north = level
+    return cosine * east - sine * north, sine * east + cosine * north
 
 
 def propagated(covariance: Covariance, R: Matrix3, dt: Array, pull: Array) -> Covariance:

@@ -68,6 +68,7 @@ def ran(
     filter: AttitudeFilter,
     seen: dict[str, np.ndarray],
     references: Any = (GRAVITY, [0.0, 1.0, 0.0]),
+    start: Any = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
 ) -> tuple[AttitudeState, dict[str, np.ndarray]]:
     """The last state, and attitudes, biases, beliefs and rests before each sample."""
     vectors = np.stack([seen["acc"], seen["mag"]], axis=1)
@@ -79,7 +80,7 @@ def ran(
         vector_references=references,
         dtype=np.float64,
     )
-    state = filter.start(initial_state(np.eye(3), np.zeros(3)), Sensors(2, 0))
+    state = filter.start(initial_state(np.array(start), np.zeros(3)), Sensors(2, 0))
     assert jax.tree.leaves(state)[0].dtype == np.float64
 
     def look(total: Any, view: Any, entry: Any) -> Any:
@@ -122,6 +123,17 @@ def test_it_computes_what_the_reference_computes_through_what_is_rare(interval: 
     seen = sensed(12.0, rest=1.0, seed=3, steps=steps)
     seen["mag"][:5] *= 0.02
     seen["mag"][np.arange(900) % 4 != 0] = np.nan
+    compare(interval, seen)
+
+
+@pytest.mark.parametrize("interval", ["before", "after"])
+@pytest.mark.parametrize("name", ["acc", "mag"])
+def test_it_computes_what_the_reference_computes_from_a_wrong_start(
+    interval: Interval, name: str
+) -> None:
+    seen = sensed(12.0, seed=5)
+    seen[name][:80] *= -1
+    seen["gyr"][600] = 900.0
     compare(interval, seen)
 
 
@@ -267,3 +279,81 @@ def test_a_strong_magnet_for_seconds_does_not_take_the_place_of_a_known_field() 
     seen["mag"][2720] *= 15.0
     _, found = ran(made(), seen)
     assert degrees(found["R"], seen["R"][: len(found["R"])])[2000:].max() < 2.0
+
+
+def reversed_at_first(name: str, samples: int, factor: float = -1.0) -> dict[str, np.ndarray]:
+    """Half a minute of motion, one of its sensors wrong at first."""
+    seen = sensed(30.0)
+    seen[name][:samples] *= factor
+    return seen
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        reversed_at_first("acc", 1),
+        reversed_at_first("acc", 60),
+        reversed_at_first("acc", 100, 0.01),
+        reversed_at_first("mag", 100),
+        reversed_at_first("mag", 1, 1e4),
+        reversed_at_first("mag", 200, 9.0),
+    ],
+)
+def test_a_start_with_a_sensor_that_is_wrong_at_first_is_mended(seen: dict[str, Any]) -> None:
+    _, found = ran(made(), seen)
+    assert degrees(found["R"], seen["R"][: len(found["R"])])[-500:].max() < 2.5
+
+
+def test_the_first_field_may_come_late_whatever_the_heading_until_then() -> None:
+    """Velocity and covariance turn with the heading."""
+    seen = sensed(12.0)
+    seen["mag"][:500] = np.nan
+    _, found = ran(made("after"), seen)
+    _, turned = ran(made("after"), seen, start=Rotation.from_rotvec([0, 0, 2.5]).as_matrix())
+    assert degrees(found["R"], turned["R"])[490] > 90
+    np.testing.assert_allclose(turned["R"][501:], found["R"][501:], atol=1e-9)
+
+
+def test_a_faulty_gyroscope_leaves_no_lasting_damage() -> None:
+    seen = sensed(60.0)
+    seen["gyr"][1000:2000] = [577.0, -577.0, 577.0]
+    seen["mag"][np.arange(len(seen["mag"])) % 10 != 0] = np.nan
+    last, found = ran(made(), seen)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(last))
+    assert degrees(found["R"], seen["R"][: len(found["R"])])[-500:].max() < 3.0
+
+
+def test_a_heading_that_is_lost_for_seconds_is_found_anew() -> None:
+    """The gyroscope misses a turn; the covariance knows nothing of that."""
+    seen = sensed(40.0)
+    seen["gyr"][1500:1600] -= 1.5 * seen["R"][1500:1600, 2]  # about up
+    _, found = ran(made(), seen)
+    error = degrees(found["R"], seen["R"][: len(found["R"])])
+    assert error[1600:1610].min() > 45
+    assert error[-1000:].max() < 2.5
+
+
+def test_the_bias_stays_within_what_gyroscopes_have() -> None:
+    seen = sensed(20.0)
+    seen["acc"][500:900] = [60.0, -50.0, 40.0]
+    _, found = ran(made(), seen)
+    assert np.abs(found["b"]).max() <= np.deg2rad(6) + 1e-12
+
+
+def test_a_large_weight_of_a_field_does_not_overshoot() -> None:
+    seen = sensed(20.0, bias=(0.0, 0.0, 0.0))
+    vectors = np.stack([seen["acc"], seen["mag"]], axis=1)
+    measurements = Measurements.from_arrays(
+        time_step=seen["steps"],
+        angular_velocity=seen["gyr"],
+        velocity=np.zeros_like(seen["gyr"]),
+        vectors=vectors,
+        vector_references=(GRAVITY, [0.0, 1.0, 0.0]),
+        vector_weights=[1.0, 1e6],
+        dtype=np.float64,
+    )
+    filter = made()
+    state = filter.start(initial_state(np.eye(3), np.zeros(3)), Sensors(2, 0))
+    last, _, _ = run(lambda *_: ((), ()), filter, samples_of(filter, measurements), state)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(last))
+    np.testing.assert_allclose(np.hypot(*last.parts), np.linalg.norm(FIELD), rtol=0.2)

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 UP = np.array([0.0, 0.0, 1.0])
 NORTH = np.array([0.0, 1.0, 0.0])
+PAUSE = 0.2501
 
 
 def smallest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -40,14 +41,18 @@ def attitudes(
     f: Any = None
     c = np.zeros(3)
     parts = off = np.zeros(2)
-    parts_time = age = still = last = gap = refused = 0.0
+    parts_time = age = still = last = gap = refused = doubted = astray = 0.0
+    upwards = 1.0
     belief = 0.0
     slow: Any = None
     found: dict[str, list[Any]] = {"R": [shown], "b": [b], "belief": [0.0], "rest": [False]}
     for w_m, a, m, dt in zip(gyr, acc, mag, steps, strict=True):
         R = R @ Rotation.from_rotvec(last * (w_m - b)).as_matrix() if before else shown
-        lasting = min(dt, 0.25)
+        lasting = min(dt, PAUSE)
         felt = bool(np.isfinite(a).all() and np.linalg.norm(a) < n["outlier"] * gravity)
+        length = np.linalg.norm(a)
+        if slow is None and not 0.5 * gravity < length < 2 * gravity:
+            felt = False
         if felt and slow is None:
             R = smallest(R @ a, UP) @ R
             slow = w_m, a
@@ -63,12 +68,15 @@ def attitudes(
         )
         still = still + lasting if is_still else 0.0
         seen = slow is not None and bool(np.isfinite(m).all())
-        anew = f is None
+        anew, wrong = f is None, False
         if seen and f is not None:
             fits = bool(np.linalg.norm(m) < n["outlier"] * np.linalg.norm(parts))
-            anew = not fits and refused >= max(age, 1.0)
+            believed = age - doubted
+            wrong = not fits and refused >= max(age, 1.0)
+            wrong |= doubted >= max(believed, 1.0) and believed < 10
+            anew = wrong
             seen = fits or anew
-        since = lasting + min(gap, 0.25)
+        since = lasting + min(gap, PAUSE)
         gap = 0.0 if seen else gap + dt
         refused = 0.0 if seen else refused + (lasting if np.isfinite(m).all() else 0.0)
         if seen:
@@ -76,9 +84,19 @@ def attitudes(
             if first:
                 parts_time = age = 0.0
                 level = R @ m - (R @ m)[2] * UP
-                R = smallest(level, NORTH) @ R
-                f = np.zeros(3)
-            late = 0.0 if first else n["magnetometer_delay"]
+                to_north = smallest(level, NORTH)
+                R = to_north @ R
+                v = to_north[:2, :2] @ v
+                both = np.eye(8)
+                both[:3, :3], both[6:, 6:] = to_north, to_north[:2, :2]
+                P = both @ P @ both.T
+                P[2, :] = P[:, 2] = 0.0
+                P[2, 2] = 1.0
+                f, off = np.zeros(3), np.zeros(2)
+                if wrong:
+                    c = np.zeros(3)
+            delay = n["magnetometer_delay"]
+            late = 0.0 if first else delay / max(1.0, delay * float(np.linalg.norm(w)))
             earthly = R @ (m - c - late * np.cross(w, R.T @ f))
             now = np.array([np.hypot(earthly[0], earthly[1]), earthly[2]])
             if first:
@@ -92,9 +110,13 @@ def attitudes(
             if not first:
                 c = c + min(since * gate / n["iron_time"], 1.0) * R.T @ residual
             parts_time = min(parts_time + since * gate, n["field_memory"])
-            parts = parts + since * gate / (parts_time + 1e-6) * (now - parts)
+            parts = parts + min(since * gate / (parts_time + 1e-6), 1.0) * (now - parts)
             age = age + since
-        resting = still >= 1.5
+            doubted = 0.0 if first or off @ off < 0.25 else doubted + since
+        resting = still >= 1.4999
+        if astray >= 3.0:
+            P[2, :] = P[:, 2] = 0.0
+            P[2, 2] = 1.0
         rows, residuals, variances = [], [], []
         if felt:
             spread = 0.05 if resting else n["velocity"]
@@ -121,12 +143,13 @@ def attitudes(
             x = gain @ np.array(residuals)
             P = (np.eye(8) - gain @ H) @ P
         turn = Rotation.from_quat([*(0.5 * x[:3]), 1.0]).as_matrix()  # normalised by SciPy
-        R, b, v = turn @ R, b + x[3:6], v + x[6:]
+        R, b, v = turn @ R, np.clip(b + x[3:6], -np.deg2rad(6), np.deg2rad(6)), v + x[6:]
         if f is not None:
             f = turn @ f
         pull = lasting if felt else 0.0
         if felt:
             v = v + lasting * (R @ a)[:2]
+            upwards += lasting / 1.5 * (np.clip((R @ a)[2] / gravity, -1, 1) - upwards)
         speed = np.linalg.norm(w)
         shown = R @ Rotation.from_rotvec(dt * (w_m - b)).as_matrix()
         F = np.eye(8)
@@ -137,9 +160,14 @@ def attitudes(
         densities = [noise, noise, noise + more, *[n["angular_walk"] ** 2] * 3, *[0.03**2] * 2]
         P = F @ P @ F.T + dt * np.diag(densities)
         last = dt
-        if dt > 0.25:
-            f, slow, still, v = None, None, 0.0, np.zeros(2)
-            kept = P[3:6, 3:6]
+        if seen:
+            straight = f[1] >= np.cos(np.deg2rad(45)) * np.hypot(f[0], f[1])
+            astray = 0.0 if straight else astray + (since if belief > 0.5 else 0.0)
+        lost = upwards < -0.05
+        if dt > PAUSE or lost:
+            f, slow, still, v, upwards = None, None, 0.0, np.zeros(2), 1.0
+            kept = n["initial_bias"] ** 2 * np.eye(3) if lost else P[3:6, 3:6]
+            b, c = (np.zeros(3), np.zeros(3)) if lost else (b, c)
             P = np.diag([0.35**2] * 2 + [1.0] + [0.0] * 3 + [1.0] * 2)
             P[3:6, 3:6] = kept
         for name, value in (("R", shown), ("b", b), ("belief", belief), ("rest", resting)):
