@@ -52,6 +52,8 @@ from posegsa.settings.violations import (
     violations_of,
 )
 
+StartOff = tuple[Annotated[NonNegative, Field(le=180)], NonNegative]
+"""How far a start is from the truth, in attitude [deg] and position [m]."""
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
 _BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO, *SIGNAL_ALSO, *IMU_ALSO)
@@ -109,6 +111,9 @@ class ObjectiveConfig(Section):
     least_gain: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
     """Only on recordings, for a filter without a schedule: if a search lowers the cost by less than
     this share of it, the numbers stay as configured, no unit."""
+    starts_off: tuple[StartOff, ...] = ()
+    """Only on recordings: further starts from which each is tuned, by their distance from its
+    truth, [deg, m], in random directions; besides its own start."""
 
 
 class TunedConfig(Section):

@@ -9,7 +9,7 @@ from posegsa.config.schedule_config import DEFAULT_ALSO
 from posegsa.config.tunable import AlsoTuned
 from posegsa.filters.attitude import Interval
 from posegsa.filters.measurement_model import BeliefInput
-from posegsa.filters.observer import GainLaw, Law
+from posegsa.filters.observer import GainLaw, LandmarkUnit, Law
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Tunable
 from posegsa.settings.violations import Violation
@@ -66,6 +66,9 @@ class ObserverConfig(Section):
     length_growth: Annotated[NonNegative | Literal["off"], Tunable("law", "gradient")] = "off"
     """By how much the square of the unit of length grows with the square of the distance from the
     body to the farthest landmark, no unit; "off" means not at all."""
+    landmark_unit: LandmarkUnit = "metre"
+    """What the weight of a landmark is per square of: a "metre", or the unit of "length". With the
+    latter and `length_growth` the same gains suit landmarks at any distance."""
     bias_wait: Annotated[Positive | Literal["off"], Tunable()] = "off"
     """The error signal, before it is smoothed and scaled, at which the gains of all bias laws are
     half; above it they vanish with the fourth power. While the pose is far off, they would take its

@@ -76,13 +76,15 @@ def recorded_problem(
         ConfigError: The experiment's signal is "pose", or it tunes a number that has no effect
             here, or its scenarios are used too and have other sensors.
         MemoryLimitError: It would need more memory than is free.
-        RecordingError: A recording has no judged sample.
+        RecordingError: A recording has no judged sample, or starts are off the truth where it is
+            not known.
     """
     if experiment.gain.signal == "pose":
         raise ConfigError(
             'gain.signal = "pose" looks at the true pose; allowed on recordings: "measured"'
         )
     experiment = tuned_on_recordings(experiment, recordings, strict=strict)
+    recordings = with_starts_off(recordings, experiment.objective.starts_off)
     memory.check([experiment], recorded=_size(recordings))
     problem = TuningProblem(
         experiment=experiment,
@@ -98,6 +100,28 @@ def recorded_problem(
     every = as_recordings(drawn, position_weight)
     beside = every.select(slice(experiment.run.training_scenarios))
     return problem._replace(scenarios=every, beside=beside)
+
+
+def with_starts_off(
+    recordings: Sequence[Recording], starts: Sequence[tuple[float, float]]
+) -> list[Recording]:
+    """Recordings with their own starts, then with starts off the truth by so many [deg, m].
+
+    A filter that is tuned from good starts alone learns nothing of others: its gain at a large
+    error is as good as random, and from there it may be lost.
+
+    Raises:
+        RecordingError: The truth of a recording is not known at its first sample.
+    """
+    each = [(one, start) for one in recordings for start in starts]
+    try:
+        off = [one.off(*start, seed=seed) for seed, (one, start) in enumerate(each)]
+    except RecordingError as error:
+        raise RecordingError(
+            f"{error}, which objective.starts_off needs; allowed: a recording from where it is "
+            "known on (a window), or starts_off = []"
+        ) from None
+    return [*recordings, *off]
 
 
 def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
