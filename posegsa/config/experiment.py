@@ -8,19 +8,15 @@ from pydantic import Field, ValidationError, model_validator
 from posegsa.config.changes import with_values
 from posegsa.config.family_config import FamilyConfig
 from posegsa.config.filter_config import (
-    ALSO_OF_KIND,
-    IMU_ALSO,
-    KALMAN_ALSO,
+    FILTERS,
     ONE_FILTER,
     SCHEDULE_NUMBERS,
-    SIGNAL_ALSO,
     FilterConfig,
     KalmanConfig,
     ObserverConfig,
 )
 from posegsa.config.scenario_config import ScenarioConfig
 from posegsa.config.schedule_config import (
-    DEFAULT_ALSO,
     SEARCHED,
     FuzzyConfig,
     GainConfig,
@@ -54,7 +50,7 @@ from posegsa.settings.violations import (
 
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
-_BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO, *SIGNAL_ALSO, *IMU_ALSO)
+_BY_DEFAULT = tuple(one for kind in FILTERS.values() for one in kind.also)
 """Tuned by default: where one of these has no effect, it is left out without an error."""
 ONE_OPTIMISER = Choice("optimiser", OPTIMISERS)
 """The optimisers that [search] can select."""
@@ -178,7 +174,7 @@ class Experiment(Section):
     @property
     def default_also(self) -> tuple[AlsoTuned, ...]:
         """The numbers tuned by default, without parameters.also, for this kind of filter."""
-        return ALSO_OF_KIND.get(self.filter.kind, ())
+        return FILTERS[self.filter.kind].also
 
     def _places(self) -> Places:
         """The numbers that a search may tune and that have an effect, by key."""

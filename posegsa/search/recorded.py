@@ -215,7 +215,7 @@ def with_effect_on(
 def _come_with_posegsa() -> tuple[AlsoTuned, ...]:
     """The numbers that are tuned by default, and by the configurations that come with posegsa."""
     configured = (config.load(name).parameters.also or () for name in shipped.names())
-    return (*config.DEFAULT_ALSO, *config.KALMAN_ALSO, *chain(*configured))
+    return tuple(chain(*(kind.also for kind in config.FILTERS.values()), *configured))
 
 
 _OF_POSITION = (

@@ -23,8 +23,6 @@ from posegsa.model.schedules import (
 )
 from posegsa.search.candidates import ScheduleSpace, SimpleSpace
 
-SIMPLE = ("constant", "smooth")
-"""Kinds of schedules that an experiment can have instead of a controller."""
 GAINS = (0.5, 200.0)
 """Range of a baseline's gain [1/s]; it is extended to the controller's maximum."""
 LEAST_GAIN = 1e-3
@@ -79,7 +77,7 @@ def schedule_space(
     Gains are searched by their logarithm, over GAINS and the controller's range.
 
     Args:
-        kind: "constant", "smooth", "switch" or "open loop".
+        kind: One of `posegsa.model.schedules.SCHEDULES`, but "fuzzy".
         experiment: Its controller's range and its duration are used.
         lowest: Lowest gain [1/s], if it is not to be the default.
     """
