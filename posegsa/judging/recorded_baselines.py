@@ -11,7 +11,7 @@ from dataclasses import replace
 import jax
 
 from posegsa import config, steps
-from posegsa.judging.baselines import baselines
+from posegsa.judging.baselines import baselines, search_baselines
 from posegsa.judging.description import configured_filter, describe
 from posegsa.judging.evaluation import (
     CONSTANT,
@@ -110,15 +110,11 @@ def _tuned_on_scenarios(
     contenders = result.on_scenarios.evaluation.contenders
     known = {name: each.filter for name, each in contenders.items()}
     problem = tuning_problem(result.experiment, cost, result.own)
-    possible, found = baselines(problem, result.filter), {}
-    for name in (CONSTANT, EKF):
-        if name not in possible:
-            continue
-        if name not in known:
-            steps.begin("searching", about=name)
-            known[name] = possible[name].search()
-        found[name] = scored(known[name], possible[name].experiment, recordings)
-    return found
+    possible = baselines(problem.experiment, result.filter)
+    wanted = {name: possible[name] for name in (CONSTANT, EKF) if name in possible}
+    lacking = {name: each for name, each in wanted.items() if name not in known}
+    known |= search_baselines(problem, lacking)
+    return {name: scored(known[name], each.experiment, recordings) for name, each in wanted.items()}
 
 
 def _others(asked: bool | None, recordings: Sequence[Recording]) -> Scores:
