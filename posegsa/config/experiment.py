@@ -271,6 +271,10 @@ class Experiment(Section):
         return self
 
     def _conflicts(self) -> Iterator[Violation]:
+        found = list(self._conflicts_as_configured())
+        yield from found or self._conflicts_of_bounds()
+
+    def _conflicts_as_configured(self) -> Iterator[Violation]:
         samples = self.scenario.samples
         for key, window in self.cost:
             if isinstance(window, tuple) and window[1] >= samples:
@@ -294,8 +298,7 @@ class Experiment(Section):
             )
         weight = getattr(self.filter, "cross_vector_weight", 0.0) if crossed else 0.0
         yield from (v.under(("scenario",)) for v in self.scenario.observability_conflicts(weight))
-        wrong = list(also_conflicts(self._places(), self.parameters.also, needless=_BY_DEFAULT))
-        yield from wrong or self._conflicts_of_bounds()
+        yield from also_conflicts(self._places(), self.parameters.also, needless=_BY_DEFAULT)
         yield from self._conflicts_of_numbers()
         if self.fuzzy.rules == SEARCHED and all(p.wants_gradients for p in self.search.phases):
             reason = (

@@ -269,14 +269,20 @@ class Evaluation:
     def verdict(self) -> str:
         """How far the judged filter errs, and which filters beside it cost less (`better`).
 
+        It is told first on how many scenarios its errors are not finite.
+
         In the second window, in which errors have settled.
         """
         metrics = self.contenders[self.own].metrics
-        degrees, metres = np.mean(metrics.rms_attitude), np.mean(metrics.rms_distance)
-        head = (
-            f"On {counted(self.scenarios, 'unseen scenario')} the filter errs by {degrees:.3g} deg "
-            f"and {100 * metres:.3g} cm once it has settled."
-        )
+        errors = np.stack([metrics.rms_attitude, metrics.rms_distance])
+        finite = np.isfinite(errors).all(axis=0)
+        head = f"On {counted(self.scenarios, 'unseen scenario')} the filter"
+        if lost := np.count_nonzero(~finite):
+            head += f" has no finite error on {lost if finite.any() else 'any'}"
+            head += "; on the others it" if finite.any() else "."
+        if finite.any():
+            degrees, metres = np.mean(errors[:, finite], axis=1)
+            head += f" errs by {degrees:.3g} deg and {100 * metres:.3g} cm once it has settled."
         if self.clairvoyant is not None:
             head += (
                 f" Its cost is {self.cost(self.own).mean:.4g}; the clairvoyant, which knows what "

@@ -55,7 +55,7 @@ from posegsa.search.run_search import Found
 from posegsa.version import VERSION
 
 _PARTS = (
-    "the filter compared with it",
+    "the filter to compare with",
     "unseen scenarios",
     "references",
     "one run",
@@ -143,7 +143,7 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -
     `found` is its description.
     """
     experiment, scenarios = problem.experiment, problem.simulated
-    _begin("the filter compared with it")
+    _begin("the filter to compare with")
     name, other, evaluations = _beside(problem, tuned)
     own = own_name(found)
     candidates = {own: tuned, name: other}

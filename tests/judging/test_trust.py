@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from helpers import reference
 from helpers.experiments import tiny
+from helpers.results import changed, evaluation, result, trajectory, trust
 
 import posegsa
+from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.trust import rule_weights, uncovered
 from posegsa.model.fuzzy import FuzzyController
 
@@ -73,14 +75,34 @@ def test_rule_weights_are_mean_firing_strengths(sound):
     )
 
 
+def test_an_estimate_that_is_not_finite_is_named_with_where_and_since_when() -> None:
+    lost = trajectory()
+    lost.attitude_error[125:] = np.nan
+    costs = {TUNED: np.array([np.inf, 41.5]), CONSTANT: np.array([44.0, 46.0])}
+    unseen = np.full(40, 30.0)
+    unseen[:8] = np.inf
+    given = result(
+        trust=trust(sensitive=True, cost_float64=np.inf),
+        training=costs,
+        evaluation=changed(evaluation(), TUNED, cost=unseen),
+        trajectory=lost,
+    )
+    first = given.warnings()[0]
+    assert "no finite cost on 1 of 2 training scenarios and 8 of 40 held-out scenarios" in first
+    assert "its estimate is not finite from 1.25 s on: do not trust this filter" in first
+    assert not any("SENSITIVE" in words for words in given.warnings())
+    assert "On one unseen scenario the estimate is not finite from 1.25 s on." in given.summary()
+    assert "NOT FINITE" not in " ".join(result().warnings())
+
+
 def test_warnings_name_what_went_wrong(sound):
     judged = sound.on_scenarios
-    trust = dataclasses.replace(judged.trust, uncovered=0.125)
-    result = dataclasses.replace(
+    gaps = dataclasses.replace(judged.trust, uncovered=0.125)
+    found = dataclasses.replace(
         sound,
-        on_scenarios=dataclasses.replace(judged, trust=trust),
+        on_scenarios=dataclasses.replace(judged, trust=gaps),
         search=dataclasses.replace(sound.search, non_finite=3),
     )
-    text = " ".join(result.warnings())
+    text = " ".join(found.warnings())
     assert "12.5 %" in text
     assert "3 agents" in text
