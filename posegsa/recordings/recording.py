@@ -150,7 +150,8 @@ class Recording:
             landmark_weights: scalar, (m,) or (K, m), factors on the filter's weights; default 1.
             weights_by_rate: multiply the weights of each vector and landmark by the median number
                 of samples from one of its measurements to the next. With a gyroscope at 200 Hz, a
-                landmark seen at 20 Hz then corrects as much per second as one seen at 200 Hz.
+                landmark seen at 20 Hz then corrects as much per second as one seen at 200 Hz. Only
+                an observer uses these weights (`posegsa.recordings.running.as_seen`).
             landmark_outlier: a measurement of a landmark that is farther from the position which
                 the velocities predict than this many times the median gets weight 0. A warning
                 and `notes` say how many (`posegsa.recordings.outliers`); "off" keeps all.

@@ -83,16 +83,22 @@ def run_filter(
 
 
 def as_seen(filter: Filter, recording: Recording) -> Recording:
-    """A recording as a filter reads it: a Kalman filter takes each weight above 0 as 1.
+    """A recording as a filter reads it: only for an observer do weights follow the sensors' rates.
 
-    Weights compensate for the rate of a sensor, which the filter's covariance does already.
+    The observer's gains do not follow from the data, so that a slow sensor needs a larger weight to
+    correct as much per second. A Kalman filter takes each weight above 0 as 1, and any other filter
+    the weights as they were given: in a stream and in C it has the same.
     """
-    if not isinstance(filter, KalmanFilter):
+    if isinstance(filter, Observer):
         return recording
-    m = {
-        name: (np.asarray(a) > 0).astype(float) if name.endswith("_weights") else a
-        for name, a in recording.measurements._asdict().items()
-    }
+    m = recording.measurements._asdict()
+    for kind in ("vector", "landmark"):
+        weights = np.asarray(m[f"{kind}_weights"])
+        m[f"{kind}_weights"] = (
+            (weights > 0).astype(float)
+            if isinstance(filter, KalmanFilter)
+            else weights / getattr(recording, f"{kind}_interval")
+        )
     return replace(recording, measurements=with_numpy_arrays(m))
 
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers.own_filter import Complementary
 from helpers.recordings import motion
 from helpers.recordings import short_parts as short_parts
 from helpers.schedules import K, tuned
@@ -54,6 +55,33 @@ def test_parts_make_the_estimates_of_one_piece(recording: Recording) -> None:
             assert mine is None, name
         else:
             np.testing.assert_allclose(mine, theirs, rtol=1e-5, atol=1e-5, err_msg=name)
+
+
+def test_a_filter_of_the_users_own_sees_a_slow_sensor_as_its_stream_does() -> None:
+    """Weights by the sensors' rates are for the observer alone."""
+    given = motion(120)
+    given["landmarks"][np.arange(120) % 10 != 0] = np.nan
+    recording, own = Recording.from_arrays(**given), Complementary(jnp.float32(1), jnp.float32(2))
+    start, m = recording.initial(), recording.measurements
+    assert recording.measurements.landmark_weights.max() == 10
+    replayed = posegsa.run_filter(own, recording)
+    live = posegsa.PoseFilter(
+        own,
+        rotation=start.rotation,
+        position=start.position,
+        vector_references=given["vector_references"],
+        landmark_references=given["landmark_references"],
+    )
+    for k in range(119):
+        pose = live.update(
+            time_step=m.time_step[k],
+            angular_velocity=given["angular_velocity"][k],
+            velocity=given["velocity"][k],
+            vectors=given["vectors"][k],
+            landmarks=given["landmarks"][k],
+        )
+        np.testing.assert_allclose(pose.position, replayed.position[k + 1], atol=1e-5)
+        np.testing.assert_allclose(pose.rotation, replayed.rotation[k + 1], atol=1e-5)
 
 
 def test_attitude_only_has_no_position() -> None:
