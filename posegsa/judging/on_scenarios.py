@@ -105,7 +105,7 @@ class OnScenarios:
         found, t, own = [], self.trust, self.evaluation.own
         if lost := self.not_finite():
             found.append(f"NOT FINITE: {lost}: do not trust this filter")
-        elif t.sensitive:
+        if t.chaotic:
             found.append(
                 f"SENSITIVE: training cost {t.cost_float32:.4g} in float32, {t.cost_float64:.4g} "
                 f"in float64, {t.cost_perturbed:.4g} from a start changed by 1e-6; they should "

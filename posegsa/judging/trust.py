@@ -46,6 +46,12 @@ class Trust:
     the trajectory diverged to NaN. None without rules."""
 
     @property
+    def chaotic(self) -> bool:
+        """Whether it is sensitive, other than by costs of which none is finite."""
+        costs = (self.cost_float32, self.cost_float64, self.cost_perturbed)
+        return self.sensitive and bool(np.isfinite(costs).any())
+
+    @property
     def used_rules(self) -> int:
         """Number of rules that carry at least 1 % of all firing strength; 0 without rules."""
         if self.rule_weights is None:
