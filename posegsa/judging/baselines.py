@@ -87,10 +87,10 @@ def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
 
 def searchable(experiment: config.Experiment) -> config.Experiment:
     """The experiment, with an optimiser that can search any schedule in a compiled loop."""
-    own: Optimiser = experiment.search
-    if own.on_host or any(phase.wants_gradients for phase in own.phases):
-        agents = max(own.agents, 4)  # differential evolution needs 4
-        iterations = max(1, own.evaluations // agents)
+    optimiser: Optimiser = experiment.search
+    if optimiser.on_host or any(phase.wants_gradients for phase in optimiser.phases):
+        agents = max(optimiser.agents, 4)  # differential evolution needs 4
+        iterations = max(1, optimiser.evaluations // agents)
         size = [f"search.agents={agents}", f"search.iterations={iterations}"]
         return config.override(experiment, ["search.optimiser=de", *size])
     return experiment
@@ -221,10 +221,10 @@ def batch_for(
     or for an observer that learns the vectors' biases. For any other filter, and for another start,
     they are drawn again, by their keys.
     """
-    filter, own = filter_of(experiment), batch.filter
+    filter, made_for = filter_of(experiment), batch.filter
     if experiment.scenario.start != before.scenario.start:
         return scenario_batch(experiment, scenario_keys, filter)
-    one_by_one = isinstance(own, Observer) and own.settings.vector_bias is not None
-    if isinstance(filter, KalmanFilter) and (one_by_one or isinstance(own, KalmanFilter)):
+    one_by_one = isinstance(made_for, Observer) and made_for.settings.vector_bias is not None
+    if isinstance(filter, KalmanFilter) and (one_by_one or isinstance(made_for, KalmanFilter)):
         return batch._replace(filter=filter)
     return scenario_batch(experiment, scenario_keys, filter)

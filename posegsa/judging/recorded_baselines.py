@@ -54,7 +54,7 @@ def judged_beside_baselines(
     """
     before = result.on_recordings
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
-        own = scored(result.filter, result.experiment, recordings, result.own)
+        its_own = scored(result.filter, result.experiment, recordings, result.own)
         if result.filter.kind == "imu":  # no other filter of posegsa reads these sensors
             baselines = {}
         elif training:
@@ -65,9 +65,9 @@ def judged_beside_baselines(
             baselines = {}
         baselines |= _others(others, recordings)
     judged = before or OnRecordings(training=[], held_out=[])
-    if [one.fingerprint for one in judged.held_out] == [one.fingerprint for one in own]:
+    if [one.fingerprint for one in judged.held_out] == [one.fingerprint for one in its_own]:
         baselines = judged.baselines | baselines
-    judged = replace(judged, held_out=own, baselines=baselines)
+    judged = replace(judged, held_out=its_own, baselines=baselines)
     return replace(result, on_recordings=judged)
 
 
@@ -75,18 +75,20 @@ def _tuned_on(
     result: Result, recordings: Sequence[Recording], training: Sequence[Recording]
 ) -> Scores:
     """Scores of constant gains and of a Kalman filter, both tuned on recordings."""
-    own, found = result.experiment, {}
+    experiment, found = result.experiment, {}
     weight = DEGREES_PER_METRE if result.search is None else result.search.position_weight
     weight = weight or DEGREES_PER_METRE
     if result.filter.kind != "constant":
         steps.begin("searching", about=CONSTANT)
-        constant = config.override(_observer_on_recordings(own), ["filter.schedule=constant"])
+        constant = config.override(
+            _observer_on_recordings(experiment), ["filter.schedule=constant"]
+        )
         problem = recorded_problem(constant, training, weight, strict=False)
         candidate = problem.space.candidate(run_search(problem, tell_share).search.best_position)
         description = describe(candidate, problem.experiment, constant.search.evaluations)
         found[CONSTANT] = scored(description, problem.experiment, recordings)
     steps.begin("searching", about=EKF)
-    kalman = kalman_experiment(own, vector_biases=False)
+    kalman = kalman_experiment(experiment, vector_biases=False)
     kalman = kalman.replace(**{"objective.simulated_share": 0.0})
     problem = recorded_problem(kalman, training, weight, strict=False)
     found[EKF] = scored(tune_kalman(problem), problem.experiment, recordings)

@@ -61,11 +61,11 @@ class Trust:
 
 
 def check(
-    problem: TuningProblem, tuned: Candidate, own: ErrorTrack, trajectory: Trajectory
+    problem: TuningProblem, tuned: Candidate, errors: ErrorTrack, trajectory: Trajectory
 ) -> Trust:
     """Check the tuned candidate of a problem.
 
-    `own` are its errors on all scenarios of the problem; `trajectory` is its run on one of them.
+    `errors` are its errors on all scenarios of the problem; `trajectory` is its run on one of them.
     """
     experiment = problem.experiment
 
@@ -73,7 +73,7 @@ def check(
         metrics, _ = metrics_of(tracks, problem.training, problem.cost)
         return float(np.mean(metrics.cost))
 
-    cost = mean_cost(own.select(slice(experiment.run.training_scenarios)))
+    cost = mean_cost(errors.select(slice(experiment.run.training_scenarios)))
     schedule = tuned.schedule
     controller = schedule.controller if isinstance(schedule, FuzzyGain) else None
     start = problem.training.initial

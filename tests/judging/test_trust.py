@@ -1,4 +1,4 @@
-"""Trust checks: a chaotic or lost result is marked, a sound one is not, and rules are counted right."""
+"""Trust checks: a chaotic or lost result is marked, a sound one not, rules are counted right."""
 
 import dataclasses
 
