@@ -265,12 +265,19 @@ class Evaluation:
     def verdict(self) -> str:
         """Which of the compared filters is best, in a sentence.
 
-        The cost orders them; errors are those in the second window, in which they have settled.
+        The cost orders them; errors are those in the second window, in which they have settled, on
+        the scenarios where they are finite.
         """
         metrics = self.contenders[self.own].metrics
-        degrees, metres = np.mean(metrics.rms_attitude), np.mean(metrics.rms_distance)
-        own = f"{degrees:.3g} deg and {100 * metres:.3g} cm once settled"
+        errors = np.stack([metrics.rms_attitude, metrics.rms_distance])
+        finite = np.isfinite(errors).all(axis=0)
         where = counted(self.scenarios, "unseen scenario")
+        if not finite.any():
+            return f"On {where} the filter has no finite error."
+        degrees, metres = np.mean(errors[:, finite], axis=1)
+        own = f"{degrees:.3g} deg and {100 * metres:.3g} cm once settled"
+        if lost := np.count_nonzero(~finite):
+            own += f" (no finite error on {lost} of them)"
         less = {name: self.difference(name) for name in self.contenders if name != self.own}
         listed = ", ".join(less)
         if less and all(math.isnan(each.low) for each in less.values()):

@@ -261,6 +261,18 @@ def test_the_verdict_names_cheaper_filters_the_lowest_cost_first():
     assert "EKF" not in words
 
 
+def test_the_verdict_says_where_errors_are_not_finite():
+    given = made_up((TUNED, CONSTANT))
+    errors = np.full(given.scenarios, 1.5)
+    errors[:3] = np.nan
+    some = changed(given, TUNED, rms_attitude=errors, rms_distance=np.full(given.scenarios, 0.125))
+    words = "1.5 deg and 12.5 cm once settled (no finite error on 3 of them)"
+    assert words in some.verdict()
+    none = changed(given, TUNED, rms_attitude=np.full(given.scenarios, np.nan))
+    where = f"On {given.scenarios} unseen scenarios"
+    assert none.verdict() == f"{where} the filter has no finite error."
+
+
 def test_the_clairvoyant_is_below_the_costs():
     given = made_up((TUNED, CONSTANT))
     assert "clairvoyant" not in given.table()
