@@ -6,7 +6,7 @@ landmarks made from its truth, tuned on its first 40 s and judged on the rest.
 
 DATA_FOLDER has the folders `flights`, with car_1.csv and so on, and `euroc`.
 
-    python benchmarks/flights.py DATA_FOLDER [--write]
+    python benchmarks/flights.py DATA_FOLDER [--write] [--only "tune landmarks"]
 """
 
 import argparse
@@ -47,16 +47,20 @@ FILTERS: dict[str, Made] = {
     "`tune recommended`": tuned("recommended"),
     "`tune landmarks`": tuned("landmarks"),
 }
-ON_EUROC = "`tune`", "`kalman`", "`tune kalman`"
+ON_EUROC = "`tune`", "`kalman`", "`tune kalman`", "`tune landmarks`"
 """Filters that need no vectors, or know their sensors."""
+Cells = dict[tuple[str, str], str]
+"""The cells of the table by row and column."""
 
 
-def row(name: str, other: Recording, judged: Recording, columns: Iterable[str]) -> list[str]:
-    """Errors of filters on one recording, each in its column."""
+def row(
+    name: str, other: Recording, judged: Recording, columns: Iterable[str], held: Cells
+) -> list[str]:
+    """Errors of filters on one recording, each in its column; the rest as held, or "-"."""
     cells = [name]
     for column, made in FILTERS.items():
         if column not in columns:
-            cells.append("-")
+            cells.append(held.get((name, column), "-"))
             continue
         on = made(other, judged).on_recordings
         assert on is not None
@@ -66,18 +70,33 @@ def row(name: str, other: Recording, judged: Recording, columns: Iterable[str]) 
     return cells
 
 
-def rows(data: Path) -> list[list[str]]:
-    """All rows of the table."""
+def rows(data: Path, columns: Iterable[str], held: Cells) -> list[list[str]]:
+    """All rows of the table, these columns of them made anew."""
     found = []
     for kind in KINDS:
         pair = [Recording.read(data / "flights" / f"{kind}_{i}.csv") for i in (1, 2)]
         for judged, other in (pair, pair[::-1]):
-            found.append(row(judged.name, other, judged, FILTERS))
+            found.append(row(judged.name, other, judged, columns, held))
     for rate in (200.0, 20.0):
         whole = Recording.from_euroc(data / "euroc", landmark_rate=rate)
         parts = whole.window(0, SPLIT), whole.window(SPLIT)
-        found.append(row(f"EuRoC, {rate:g} Hz", *parts, ON_EUROC))
+        some = [column for column in columns if column in ON_EUROC]
+        found.append(row(f"EuRoC, {rate:g} Hz", *parts, some, held))
     return found
+
+
+def held_cells() -> Cells:
+    """The cells of the page's table."""
+    text = (ROOT / PAGE).read_text("utf-8")
+    block = text.split("<!-- flights: begin -->")[1].split("<!-- flights: end -->")[0]
+    heads, _, *lines = (
+        [cell.strip() for cell in line.strip("|").split("|")] for line in block.strip().splitlines()
+    )
+    return {
+        (line[0], head): cell
+        for line in lines
+        for head, cell in zip(heads[1:], line[1:], strict=True)
+    }
 
 
 def main() -> None:
@@ -87,10 +106,16 @@ def main() -> None:
     )
     parser.add_argument("data", metavar="DATA_FOLDER", type=Path)
     parser.add_argument("--write", action="store_true", help=f"into {PAGE}")
+    parser.add_argument("--only", action="append", help="a column to make anew, the rest as held")
     options = parser.parse_args()
     posegsa.enable_fast_path()
+    columns, held = list(FILTERS), {}
+    if options.only:
+        columns, held = [f"`{name}`" for name in options.only], held_cells()
+        if unknown := set(columns) - set(FILTERS):
+            parser.error(f"--only: {', '.join(unknown)}; allowed: {', '.join(FILTERS)}")
     heads = ["RMSE [deg], [cm]", *FILTERS]
-    table = [heads, ["---", *["--:"] * (len(heads) - 1)], *rows(options.data)]
+    table = [heads, ["---", *["--:"] * (len(heads) - 1)], *rows(options.data, columns, held)]
     text = "\n".join(f"| {' | '.join(cells)} |" for cells in table)
     print(text)
     if options.write:

@@ -102,8 +102,11 @@ def fitting(function: str) -> Iterator[None]:
 
 
 @contextmanager
-def made_of_jax() -> Iterator[None]:
-    """Turn JAX's errors about an objective that it can't compile into an ArgumentError."""
+def made_of_jax(function: str, values: str) -> Iterator[None]:
+    """Turn JAX's errors about a user's function that it can't compile into an ArgumentError.
+
+    `values` are those that the function is given, in words.
+    """
     try:
         yield
     except (
@@ -112,6 +115,7 @@ def made_of_jax() -> Iterator[None]:
         jax.errors.ConcretizationTypeError,
     ) as error:
         raise ArgumentError(
-            "objective: uses the values of its positions outside JAX, as NumPy functions and "
-            f"Python's if and float do; allowed: jax.numpy ({str(error).splitlines()[0]})"
+            f"{function}: uses {values} outside JAX, as NumPy functions and Python's if and float "
+            "do; allowed: jax.numpy, and jnp.where in place of an if "
+            f"({str(error).splitlines()[0]})"
         ) from error

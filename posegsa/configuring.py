@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import get_args
 
 import jax
 import numpy as np
@@ -13,7 +14,6 @@ from posegsa.arguments import check_type
 from posegsa.config import SEARCHED, Experiment
 from posegsa.errors import FuzzyError
 from posegsa.judging.description import (
-    SCHEDULES,
     Description,
     configured_filter,
     describe,
@@ -22,7 +22,7 @@ from posegsa.judging.description import (
 from posegsa.judging.judge import on_recordings
 from posegsa.judging.result import Result
 from posegsa.model.fuzzy import FuzzyController
-from posegsa.model.schedules import FuzzyGain, GainSchedule
+from posegsa.model.schedules import SCHEDULES, FuzzyGain, GainSchedule
 from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.runtime import environment
@@ -48,7 +48,7 @@ def configured(
             default the recommended experiment.
         schedule: A gain schedule made by hand instead of the configured one: `ConstantGain`,
             `FuzzyGain` of a controller that the experiment can have, or another of
-            `posegsa.model.schedules`.
+            `posegsa.model.schedules.SCHEDULES`.
         filter: The user's own filter, if `filter.kind` is "own" (see `tune`).
         recordings: The filter knows their vectors and landmarks; those with a truth judge it.
 
@@ -78,11 +78,10 @@ def configured(
 
 def _by_hand(schedule: GainSchedule, experiment: Experiment) -> tuple[Experiment, Description]:
     """The experiment of a schedule made by hand, in which nothing is searched, and its filter."""
-    check_type("schedule", schedule, FuzzyGain, *SCHEDULES.values())
-    kinds = {type_: kind for kind, type_ in SCHEDULES.items()}
-    kind = kinds.get(type(schedule), "fuzzy")
+    check_type("schedule", schedule, *SCHEDULES.values())
+    kind = next(kind for kind, made in SCHEDULES.items() if isinstance(schedule, made))
     settings = ["parameters.also=[]"]
-    if kind in ("fuzzy", "constant", "smooth"):
+    if kind in get_args(config.ScheduleKind):
         settings.insert(0, f"filter.schedule={kind}")
     chosen = config.override(experiment.replace(tuned=config.TunedConfig()), settings)
     if isinstance(schedule, FuzzyGain) and chosen.fuzzy.rules == SEARCHED:

@@ -16,7 +16,7 @@ from posegsa.arguments import (
     several,
 )
 from posegsa.defaults import SCENARIOS
-from posegsa.judging.baselines import baselines, batch_for
+from posegsa.judging.baselines import baselines, batch_for, search_baselines
 from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import Description, candidate_of
 from posegsa.judging.evaluation import (
@@ -115,25 +115,25 @@ def evaluate(
     memory.check([experiment], held_out=scenarios)
     with shown(progress), jax.enable_x64(experiment.run.dtype == "float64"):
         steps.begin("preparing")
-        drawn = experiment.replace(**{"objective.simulated_share": 0.0})
-        problem = tuning_problem(drawn, cost, result.own)
+        on_drawn = experiment.replace(**{"objective.simulated_share": 0.0})
+        problem = tuning_problem(on_drawn, cost, result.own)
         if result.on_scenarios is None:
             judged = on_scenarios(problem, result.candidate, result.filter)
         else:
             judged = result.on_scenarios
         found = _all_found(result, judged, problem)
         unseen = held_out_keys(experiment.run.seed, scenarios, seed)
-        held_out = scenario_batch(drawn, unseen, problem.training.filter)
+        held_out = scenario_batch(on_drawn, unseen, problem.training.filter)
         contenders = {}
-        for name, (own, description) in steps.each("judging", list(found.items()), itemgetter(0)):
-            same = (own.filter, own.scenario) == (drawn.filter, drawn.scenario)
-            batch = held_out if same else batch_for(held_out, drawn, own, unseen)
+        for name, (its, description) in steps.each("judging", list(found.items()), itemgetter(0)):
+            same = (its.filter, its.scenario) == (on_drawn.filter, on_drawn.scenario)
+            batch = held_out if same else batch_for(held_out, on_drawn, its, unseen)
             if name == UNTUNED and not always_starts(batch):
                 continue
-            tracks = error_tracks(candidate_of(description, own), batch)
+            tracks = error_tracks(candidate_of(description, its), batch)
             contenders[name] = contender(tracks, batch, description, cost)
         steps.begin("judging", about=CLAIRVOYANT)
-        reference = clairvoyant_costs(drawn, unseen) if cost is None else None
+        reference = clairvoyant_costs(on_drawn, unseen) if cost is None else None
         evaluated = evaluation(contenders, held_out, seed, reference)
         return replace(result, on_scenarios=replace(judged, evaluation=evaluated))
 
@@ -146,12 +146,12 @@ def _all_found(
     Those already in the result's evaluation are not searched.
     """
     known = {name: each.filter for name, each in judged.evaluation.contenders.items()}
-    own = {own_name(result.filter): (problem.experiment, result.filter)}
-    possible = baselines(problem, result.filter)
-    for name in steps.each("searching", [one for one in possible if one not in known], str):
-        known[name] = possible[name].search()
+    judged_one = {own_name(result.filter): (problem.experiment, result.filter)}
+    possible = baselines(problem.experiment, result.filter)
+    lacking = {name: each for name, each in possible.items() if name not in known}
+    known |= search_baselines(problem, lacking)
     found = {name: (each.experiment, known[name]) for name, each in possible.items()}
-    return own | {name: found[name] for name in CONTENDERS if name in found}
+    return judged_one | {name: found[name] for name in CONTENDERS if name in found}
 
 
 def _on_recordings(

@@ -51,7 +51,7 @@ from posegsa.search.recorded import (
     DEGREES_PER_METRE,
     default_experiment,
     recorded_problem,
-    tuned_on_recordings,
+    with_effect_on_recordings,
 )
 from posegsa.search.run_search import run_search, search_batch, tell_search
 from posegsa.search.search_spaces import own_space
@@ -357,7 +357,7 @@ def _resume(
         stored = run.about.experiment
         asked = _chosen(stored if experiment is None else experiment, seed, iterations)
         if recorded is not None:
-            asked = tuned_on_recordings(asked, recorded.training)
+            asked = with_effect_on_recordings(asked, recorded.training)
         agreed = experiment_to_resume(stored, asked)
         finished = finished_result(folder, agreed, asked_for, own)
         task = _Task(agreed, recorded, own, cost)

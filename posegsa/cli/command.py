@@ -15,7 +15,6 @@ import warnings
 from collections.abc import Sequence
 
 from posegsa.cli import check, compare, configs, evaluate, export, replay, sweep, tune
-from posegsa.cli.options import RECORDED
 from posegsa.cli.parser import Parser
 from posegsa.config import shipped
 from posegsa.errors import (
@@ -27,6 +26,7 @@ from posegsa.errors import (
     SearchInterrupted,
 )
 from posegsa.progress import say
+from posegsa.recordings.readers import READERS
 from posegsa.saving import interrupt
 from posegsa.version import VERSION
 from posegsa.words import meant
@@ -124,7 +124,7 @@ def _check_names(options: argparse.Namespace) -> None:
     named = run if config is None else config
     if named is None:
         return
-    if named.lower().endswith(RECORDED):
+    if named.lower().endswith(tuple(READERS)):
         allowed = "a configuration, or none" if run is None else "a run's folder or a configuration"
         if "recording" in given:
             allowed += f"; and --recording {named}"

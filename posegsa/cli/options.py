@@ -16,6 +16,7 @@ from posegsa.config import shipped
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.recordings.frames import UP
 from posegsa.recordings.policies import LONGEST_GAP, Policy
+from posegsa.recordings.readers import IN_WORDS
 
 if TYPE_CHECKING:
     from posegsa.judging.result import Result
@@ -23,13 +24,7 @@ if TYPE_CHECKING:
     from posegsa.recordings.recording import Recording
     from posegsa.search.configured_filters import OwnFilter
 
-RECORDING = (
-    "a recording: a .csv file (columns: docs/recordings.md), an .npz file, a .mat file of BROAD, "
-    "the folder of a EuRoC sequence, or a bag of ROS 1 or 2, with its topics in FILE.toml beside it"
-)
-
-RECORDED = (".csv", ".npz", ".mat", ".bag", ".mcap", ".db3")
-"""Suffixes of the names of recordings."""
+RECORDING = f"a recording: {IN_WORDS}"
 
 
 def add_search_arguments(

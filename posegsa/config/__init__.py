@@ -1,6 +1,6 @@
 """Typed descriptions of experiments, read from and written to TOML.
 
-All constants of the paper, and those that it leaves out, are defaults here and nowhere else.
+All constants of the paper, and those that it leaves out, are defaults of an experiment here.
 `Experiment()` is that of configs/observer.toml.
 """
 

@@ -12,7 +12,7 @@ from .family_config import InTurn as InTurn
 from .family_config import JumpsConfig as JumpsConfig
 from .family_config import NoiseJumpsConfig as NoiseJumpsConfig
 from .family_config import Occasions as Occasions
-from .filter_config import IMU_ALSO as IMU_ALSO
+from .filter_config import FILTERS as FILTERS
 from .filter_config import KALMAN_ALSO as KALMAN_ALSO
 from .filter_config import SCHEDULE_NUMBERS as SCHEDULE_NUMBERS
 from .filter_config import AttitudeConfig as AttitudeConfig
@@ -26,7 +26,6 @@ from .scenario_config import ScenarioConfig as ScenarioConfig
 from .scenario_config import Sine as Sine
 from .scenario_config import Sines as Sines
 from .scenario_config import Vector as Vector
-from .schedule_config import DEFAULT_ALSO as DEFAULT_ALSO
 from .schedule_config import INPUT_RANGE as INPUT_RANGE
 from .schedule_config import PARAMETERS as PARAMETERS
 from .schedule_config import SEARCHED as SEARCHED

@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from posegsa.config.filter_config import ALSO_OF_KIND
+from posegsa.config.filter_config import FILTERS
 from posegsa.config.schedule_config import fitted_bounds
 from posegsa.optimisers import OPTIMISERS, Optimiser
 from posegsa.settings.violations import Violation
@@ -40,7 +40,8 @@ def with_values(
         _leave_named(data, "tuned", named)
         if not _named("parameters.also", named):
             # All values are present here, so the ones that the user set are unknown.
-            also = ALSO_OF_KIND.get(str(filter_.get("kind")), ())
+            kind = FILTERS.get(str(filter_.get("kind")))
+            also = () if kind is None else kind.also
             parameters["also"] = [one.model_dump(mode="json") for one in also]
     elif isinstance(filter_, dict) and filter_.get("schedule") != filter_before.get("schedule"):
         _leave_named(data, "tuned", named)

@@ -8,19 +8,15 @@ from pydantic import Field, ValidationError, model_validator
 from posegsa.config.changes import with_values
 from posegsa.config.family_config import FamilyConfig
 from posegsa.config.filter_config import (
-    ALSO_OF_KIND,
-    IMU_ALSO,
-    KALMAN_ALSO,
+    FILTERS,
     ONE_FILTER,
     SCHEDULE_NUMBERS,
-    SIGNAL_ALSO,
     FilterConfig,
     KalmanConfig,
     ObserverConfig,
 )
 from posegsa.config.scenario_config import ScenarioConfig
 from posegsa.config.schedule_config import (
-    DEFAULT_ALSO,
     SEARCHED,
     FuzzyConfig,
     GainConfig,
@@ -52,9 +48,11 @@ from posegsa.settings.violations import (
     violations_of,
 )
 
+StartOff = tuple[Annotated[NonNegative, Field(le=180)], NonNegative]
+"""How far a start is from the truth, in attitude [deg] and position [m]."""
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
-_BY_DEFAULT = (*DEFAULT_ALSO, *KALMAN_ALSO, *SIGNAL_ALSO, *IMU_ALSO)
+_BY_DEFAULT = tuple(one for kind in FILTERS.values() for one in kind.also)
 """Tuned by default: where one of these has no effect, it is left out without an error."""
 ONE_OPTIMISER = Choice("optimiser", OPTIMISERS)
 """The optimisers that [search] can select."""
@@ -109,6 +107,9 @@ class ObjectiveConfig(Section):
     least_gain: Annotated[float, Field(strict=True, ge=0, lt=1)] = 0.0
     """Only on recordings, for a filter without a schedule: if a search lowers the cost by less than
     this share of it, the numbers stay as configured, no unit."""
+    starts_off: tuple[StartOff, ...] = ()
+    """Only on recordings: further starts from which each is tuned, by their distance from its
+    truth, [deg, m], in random directions; besides its own start."""
 
 
 class TunedConfig(Section):
@@ -178,7 +179,7 @@ class Experiment(Section):
     @property
     def default_also(self) -> tuple[AlsoTuned, ...]:
         """The numbers tuned by default, without parameters.also, for this kind of filter."""
-        return ALSO_OF_KIND.get(self.filter.kind, ())
+        return FILTERS[self.filter.kind].also
 
     def _places(self) -> Places:
         """The numbers that a search may tune and that have an effect, by key."""
@@ -275,6 +276,10 @@ class Experiment(Section):
         return self
 
     def _conflicts(self) -> Iterator[Violation]:
+        found = list(self._conflicts_as_configured())
+        yield from found or self._conflicts_of_bounds()
+
+    def _conflicts_as_configured(self) -> Iterator[Violation]:
         samples = self.scenario.samples
         for key, window in self.cost:
             if isinstance(window, tuple) and window[1] >= samples:
@@ -298,8 +303,7 @@ class Experiment(Section):
             )
         weight = getattr(self.filter, "cross_vector_weight", 0.0) if crossed else 0.0
         yield from (v.under(("scenario",)) for v in self.scenario.observability_conflicts(weight))
-        wrong = list(also_conflicts(self._places(), self.parameters.also, needless=_BY_DEFAULT))
-        yield from wrong or self._conflicts_of_bounds()
+        yield from also_conflicts(self._places(), self.parameters.also, needless=_BY_DEFAULT)
         yield from self._conflicts_of_numbers()
         if self.fuzzy.rules == SEARCHED and all(p.wants_gradients for p in self.search.phases):
             reason = (

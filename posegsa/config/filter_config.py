@@ -1,7 +1,8 @@
 """The filter: the observer, one of two Kalman filters, or a user's own."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Literal
+from dataclasses import fields
+from typing import Annotated, Literal, NamedTuple
 
 from pydantic import ConfigDict, Field
 
@@ -9,7 +10,8 @@ from posegsa.config.schedule_config import DEFAULT_ALSO
 from posegsa.config.tunable import AlsoTuned
 from posegsa.filters.attitude import Interval
 from posegsa.filters.measurement_model import BeliefInput
-from posegsa.filters.observer import GainLaw, Law
+from posegsa.filters.observer import GainLaw, LandmarkUnit, Law
+from posegsa.model.schedules import SCHEDULES
 from posegsa.settings.choice import Choice
 from posegsa.settings.fields import Flag, NonNegative, Number, Positive, Section, Tunable
 from posegsa.settings.violations import Violation
@@ -22,13 +24,14 @@ NoiseScheduleKind = Literal["off", "fuzzy", "constant", "smooth", "ramp", "clock
 """The schedule that changes a noise of the Kalman filter: none; the controller of k1..k22; a
 constant; a smooth or a straight function of the error; or a function of the time since the
 start."""
+_WHICH = Field(
+    description='Which filter: "observer", "kalman", "imu", or "own", one that the user passes.'
+)
 AboveOne = Annotated[float, Field(strict=True, gt=1, allow_inf_nan=False)]
 
 SCHEDULE_NUMBERS: Mapping[str, Mapping[str, int]] = {
+    **{kind: {one.name: 1 for one in fields(made)} for kind, made in SCHEDULES.items()},
     "fuzzy": {"k": 22},
-    "constant": {"gain": 1},
-    "smooth": {"low": 1, "high": 1, "half": 1},
-    "ramp": {"start": 1, "slope": 1},
     "clock": {"log_gain": 16},
 }
 """How many numbers each kind of schedule has, by name, of an observer or a Kalman filter."""
@@ -40,8 +43,7 @@ _OF_UNKNOWN, _OF_BELIEF = Tunable("unknown"), Tunable("belief")
 class ObserverConfig(Section):
     """[filter]: the paper's nonlinear observer, its gain set by a schedule."""
 
-    kind: Literal["observer"] = "observer"
-    """Which filter: "observer", "kalman", "imu", or "own", a filter that the user passes."""
+    kind: Annotated[Literal["observer"], _WHICH] = "observer"
     schedule: ScheduleKind = "fuzzy"
     """What sets the gain K: "fuzzy", the controller of k1..k22; "constant", one gain; "smooth", a
     gain K(e) = low + (high - low) e^2 / (e^2 + half^2)."""
@@ -66,6 +68,9 @@ class ObserverConfig(Section):
     length_growth: Annotated[NonNegative | Literal["off"], Tunable("law", "gradient")] = "off"
     """By how much the square of the unit of length grows with the square of the distance from the
     body to the farthest landmark, no unit; "off" means not at all."""
+    landmark_unit: LandmarkUnit = "metre"
+    """What the weight of a landmark is per square of: a "metre", or the unit of "length". With the
+    latter and `length_growth` the same gains suit landmarks at any distance."""
     bias_wait: Annotated[Positive | Literal["off"], Tunable()] = "off"
     """The error signal, before it is smoothed and scaled, at which the gains of all bias laws are
     half; above it they vanish with the fourth power. While the pose is far off, they would take its
@@ -116,8 +121,7 @@ class KalmanConfig(Section):
     the density s sqrt(dt). By default they are those of the default scenario's sensors.
     """
 
-    kind: Literal["kalman"] = "kalman"
-    """Which filter: "observer", "kalman", "imu", or "own", a filter that the user passes."""
+    kind: Annotated[Literal["kalman"], _WHICH] = "kalman"
     vector_bias: Literal["off", "estimated"] = "estimated"
     """Whether the constant biases of the vectors are estimated, as states."""
     angular_velocity: Annotated[Positive, Tunable()] = 0.02
@@ -205,8 +209,7 @@ class AttitudeConfig(Section):
     It reads recordings of inertial sensors, not drawn scenarios (`posegsa.filters.attitude`).
     """
 
-    kind: Literal["imu"] = "imu"
-    """Which filter: "observer", "kalman", "imu", or "own", a filter that the user passes."""
+    kind: Annotated[Literal["imu"], _WHICH] = "imu"
     gyroscope_interval: Interval = "before"
     """Whether an angular velocity is the mean over the interval before its time stamp, since the
     last sample, or after it, until the next sample."""
@@ -254,8 +257,7 @@ class OwnConfig(Section):
 
     model_config = ConfigDict(extra="allow")
 
-    kind: Literal["own"] = "own"
-    """Which filter: "observer", "kalman", "imu", or "own", a filter that the user passes."""
+    kind: Annotated[Literal["own"], _WHICH] = "own"
     __pydantic_extra__: dict[str, Annotated[Number, Tunable()]] = Field(init=False)
     """The numbers; each can be tuned."""
 
@@ -264,18 +266,6 @@ class OwnConfig(Section):
         """The numbers by name."""
         return dict(self.__pydantic_extra__ or {})
 
-
-FilterConfig = ObserverConfig | KalmanConfig | AttitudeConfig | OwnConfig
-ONE_FILTER = Choice(
-    "kind",
-    {
-        "observer": ObserverConfig,
-        "kalman": KalmanConfig,
-        "imu": AttitudeConfig,
-        "own": OwnConfig,
-    },
-)
-"""The filters that [filter] can select."""
 
 KALMAN_ALSO = tuple(
     AlsoTuned(key=f"filter.{name}", lower=lower, upper=upper, scale="logarithmic")
@@ -315,9 +305,26 @@ IMU_ALSO = tuple(
     )
 )
 """The numbers of the attitude filter that are tuned by default."""
-ALSO_OF_KIND: Mapping[str, tuple[AlsoTuned, ...]] = {
-    "observer": DEFAULT_ALSO,
-    "kalman": (*KALMAN_ALSO, *SIGNAL_ALSO),
-    "imu": IMU_ALSO,
+
+
+class FilterKind(NamedTuple):
+    """A filter that [filter] can select."""
+
+    section: type[Section]
+    """Its section, with its kind as the default of `kind`."""
+    title: str
+    """What it is called in a sentence."""
+    also: tuple[AlsoTuned, ...] = ()
+    """The numbers that are tuned by default."""
+
+
+FilterConfig = ObserverConfig | KalmanConfig | AttitudeConfig | OwnConfig
+FILTERS: Mapping[str, FilterKind] = {
+    "observer": FilterKind(ObserverConfig, "observer", DEFAULT_ALSO),
+    "kalman": FilterKind(KalmanConfig, "Kalman filter", (*KALMAN_ALSO, *SIGNAL_ALSO)),
+    "imu": FilterKind(AttitudeConfig, "filter for inertial sensors", IMU_ALSO),
+    "own": FilterKind(OwnConfig, "filter of the user's own"),
 }
-"""The numbers that are tuned by default, by kind of filter; none for a user's own filter."""
+"""The filters by kind."""
+ONE_FILTER = Choice("kind", {kind: one.section for kind, one in FILTERS.items()})
+"""The section of one of them."""

@@ -35,6 +35,7 @@ from posegsa.export.scalar_loops import written_in_loops
 from posegsa.export.scalar_trace import Known, passed_on
 from posegsa.filters.attitude import REST_TIME, AttitudeFilter
 from posegsa.filters.base import Filter, Samples, Sensors
+from posegsa.filters.calls import estimated, started, stepped
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.model.elementwise import choose
@@ -149,19 +150,13 @@ class _Step:
             wide = _in_float64(filter)
             zero = jnp.zeros(())
             initial = _initial(zero, zero + 1)
-            state = jax.eval_shape(lambda start: wide.start(start, self._sensors), initial)
+            state = jax.eval_shape(lambda start: started(wide, start, self._sensors), initial)
             self._check_state(state)
-            estimate = jax.eval_shape(lambda s: wide.ready().estimate(s), state)
+            estimate = jax.eval_shape(lambda s: estimated(wide.ready(), s), state)
             self._check_estimate(estimate)
             sample = wide.prepare(one_measurement(known.vectors, known.landmarks))
             now = Samples(zero, sample, None)
-            after = jax.eval_shape(lambda s, n: wide.ready().step(s, n)[0], state, now)
-        if _shapes(after) != _shapes(state):
-            refuse(
-                "filter: its step returns a state of another structure, or of other types, than "
-                "its start",
-                "the same records of real scalars",
-            )
+            jax.eval_shape(lambda s, n: stepped(wide.ready(), s, n)[0], state, now)
         self.learnt = len(estimate.vector_biases)
         self.turning = len(estimate.turning) > 0
         self._structure = jax.tree.structure(state)
@@ -188,13 +183,12 @@ class _Step:
                     "real scalars (a counter must be real too), in tuples if there are several",
                 )
 
-    def _check_estimate(self, estimate: Any) -> None:
-        count = len(estimate.vector_biases) if isinstance(estimate, FilterState) else -1
+    def _check_estimate(self, estimate: FilterState) -> None:
+        count = len(estimate.vector_biases)
         if count not in (0, self._vectors):
             refuse(
-                f"filter: its estimate is a {type(estimate).__name__}"
-                + (f" with biases of {count} vectors" if count > 0 else ""),
-                f"a FilterState, with biases of {self._vectors} vectors or of none",
+                f"filter: its estimate has biases of {count} vectors",
+                f"those of {self._vectors} vectors, or of none",
             )
         expected = _estimate_in_c("", count, len(estimate.turning) > 0)
         if jax.tree.structure(estimate) != jax.tree.structure(expected):
@@ -351,11 +345,6 @@ def _estimate_in_c(pointer: str, learnt: int, turning: bool) -> FilterState:
         vector_biases=tuple(vec3(f"{pointer}vector_bias[{i}]") for i in range(learnt)),
         turning=vec3(f"{pointer}turning") if turning else (),
     )
-
-
-def _shapes(tree: Any) -> Any:
-    leaves, structure = jax.tree.flatten(tree)
-    return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
 
 
 def _words(path: Any) -> str:

@@ -26,10 +26,10 @@ from posegsa.export.c_text import (
     worth,
     wrapped,
 )
-from posegsa.export.tables import INFERENCE
 from posegsa.judging.known_sensors import KnownSensors
 from posegsa.judging.result import Result
 from posegsa.model.fuzzy import FuzzyController
+from posegsa.model.schedules import FuzzyGain
 
 _NO_RULE = {"hold": "last_gain", "midrange": "posegsa_initial_gain()"}
 _END_WEIGHT = {"sum": 1.0, "trapezoid": 0.5}
@@ -78,7 +78,9 @@ def export_c_gain(result: Result, name: str = NAME) -> str:
         .render(
             origin=comment(origin(result)),
             costs=comment(worth(result)),
-            inference=comment([INFERENCE, *settings_of(experiment.fuzzy, without=["rules"])]),
+            inference=comment(
+                [FuzzyGain.formula, *settings_of(experiment.fuzzy, without=["rules"])]
+            ),
             signal=comment(signal_in_words(result)),
             filter=comment(settings_of(experiment.filter)),
             parameters=comment(wrapped(", ".join(f"{which}={k!r}" for which, k in parameters))),

@@ -11,24 +11,9 @@ import numpy as np
 from posegsa.arguments import check_type, check_whole
 from posegsa.config import PARAMETERS, TERMS
 from posegsa.judging.result import Result
+from posegsa.model.schedules import SCHEDULES
 from posegsa.settings.plain import decimal, json_text, plain
 from posegsa.version import VERSION
-
-INFERENCE = (
-    "K = offset + centroid [1/s] by Mamdani inference: min for AND and implication, max for "
-    "aggregation."
-)
-FORMULAS = {
-    "fuzzy": INFERENCE,
-    "constant": "K = gain [1/s]",
-    "smooth": "K = low + (high - low) e^2 / (e^2 + half^2) [1/s], e: the scaled error in [0, 1]",
-    "switch": "K = before [1/s] until time [s], then K = after [1/s]",
-    "open loop": "K = exp of log_gain [log 1/s] interpolated linearly over time [s]",
-    "kalman": "Invariant extended Kalman filter; its numbers are in filter.",
-    "imu": "Attitude filter for inertial sensors; its numbers are in filter.",
-    "own": "A filter of the user's own; its numbers are in filter.",
-}
-"""What each kind of filter is: of a schedule its formula, with the names of its numbers."""
 
 SCHEMA = 2
 """Version of the layout of the JSON; it changes when a key changes its meaning."""
@@ -52,8 +37,9 @@ def export_json(result: Result) -> str:
     """
     check_type("result", result, Result)
     tuned, found = result.tuned, result.filter
-    observer = found.kind not in ("kalman", "imu", "own")
-    about = f"Pose filter on SE(3). {FORMULAS[found.kind]}"
+    observer = found.kind in SCHEDULES
+    what = f"A {found.title}; its numbers are in filter."
+    about = f"Pose filter on SE(3). {SCHEDULES[found.kind].formula if observer else what}"
     numbers = {name: each for name, each in found.numbers.items() if name != "rules"}
     if "k" in numbers:
         numbers = dict(zip(PARAMETERS, ([k] for k in numbers["k"]), strict=True))

@@ -23,7 +23,8 @@ LARGEST = 99.5
 def plot_check(check: DataCheck) -> Figure:
     """Components of each sensor's difference from its prediction by the truth, over time [s].
 
-    Without a truth, the measurements themselves. A recording of many samples is drawn in parts.
+    Without a truth, the measurements themselves. Of a recording of many samples only some parts
+    are drawn, those in which it turns most.
     """
     q = quantities(check.recording)
     drawn = [(one.sensor, one.unit, one.measured - one.expected) for one in predicted(q)]

@@ -52,7 +52,7 @@ def _draw(ax: Axes, comparison: OptimiserComparison) -> None:
     for i, (name, (evaluations, quartiles)) in enumerate(bands.items()):
         # A logarithmic axis cannot show a cost of 0: the curve ends there.
         shown = np.where(quartiles > 0, quartiles, np.nan) if logarithmic else quartiles
-        look: Style = {**style.CURVES[i % len(style.CURVES)], "linewidth": 1.4 if i else 2.2}
+        look: Style = {**style.curve(i), "linewidth": 1.4 if i else 2.2}
         style.plot_band(ax, evaluations, shown, name, look, steps=True)
     ax.set_xscale("log")
     style.plain_numbers(ax.xaxis, np.concatenate([n for n, _ in bands.values()]))

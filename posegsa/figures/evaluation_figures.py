@@ -34,7 +34,7 @@ FIGURES: list[ResultFigure] = []
 ANGLE_SPREAD = 1.0
 """Minimum range of initial angles for a figure over them [deg]."""
 
-_STYLES: dict[str, Style] = dict(zip(CONTENDERS, style.CURVES, strict=False))
+_STYLES: dict[str, Style] = {name: style.curve(i) for i, name in enumerate(CONTENDERS)}
 _STYLES |= {NOT_TUNED: _STYLES[TUNED], CLAIRVOYANT: {"color": "0.6", "linestyle": "-"}}
 """Colour and line style of each contender, the same in all figures."""
 _MARKERS = {

@@ -52,7 +52,7 @@ def plot_recorded_errors(recorded: OnRecordings) -> Figure | None:
 
 def _looks(count: int) -> list[style.Style]:
     """A line style for each filter; the first one is the widest."""
-    each = [style.CURVES[i % len(style.CURVES)] for i in range(count)]
+    each = [style.curve(i) for i in range(count)]
     return [look | {"linewidth": 2.2 if i == 0 else 1.2} for i, look in enumerate(each)]
 
 

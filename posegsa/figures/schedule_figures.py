@@ -159,7 +159,7 @@ def _plot_terms(triangles: Array, universe: tuple[float, float], label: str) -> 
     places = np.empty(len(terms))
     places[order] = _apart(terms[order, 1], 0.055 * (high - low))
     for i, ((a, b, c), name, place) in enumerate(zip(terms, names, places, strict=True)):
-        look = style.CURVES[i % len(style.CURVES)]
+        look = style.curve(i)
         ax.plot([a, b, c], [0, 1, 0], clip_on=False, linewidth=1.8, **look)
         ax.annotate(
             name,

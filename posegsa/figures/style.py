@@ -55,6 +55,14 @@ CURVES: tuple[Style, ...] = (
 )
 """Distinguishable curves, the clearest first."""
 
+
+def curve(i: int) -> Style:
+    """The i-th of any number of curves: after `CURVES`, their colours with other line styles."""
+    times, which = divmod(i, len(CURVES))
+    dashes = CURVES[(which + times) % len(CURVES)]
+    return {"color": CURVES[which]["color"], "linestyle": dashes["linestyle"]}
+
+
 FONT_SIZE, TICK_SIZE = 11, 10
 _LEGEND, _HANDLE = 85, 8  # characters in a line of a legend, and in its sample of a curve
 _STYLE = {

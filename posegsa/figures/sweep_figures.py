@@ -90,7 +90,7 @@ def _draw(ax: Axes, x: np.ndarray, costs: list[Spread], name: str, i: int, *, jo
         style.finite(np.array([getattr(one, field) for one in costs]))
         for field in ("mean", "least", "most")
     )
-    look = {**style.CURVES[i % len(style.CURVES)], "marker": "o", "markersize": 4}
+    look = {**style.curve(i), "marker": "o", "markersize": 4}
     if not joined:
         look["linestyle"] = "none"
     bars = np.array([mean - least, most - mean])

@@ -15,6 +15,7 @@ own, in tuples. XLA fuses them into one vectorised kernel; small matrices cost t
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -189,3 +190,6 @@ def check_filter(name: str, value: Any, others: str = "") -> None:
     check_type(name, value, Filter, allowed=f"{others}, {words}" if others else words)
     if isinstance(value, type):
         refuse(f"{name}: the class {value.__name__}", words)
+    if jax.tree_util.all_leaves([value]):
+        registered = "one under @jax.tree_util.register_dataclass"
+        refuse(f"{name}: the class {type(value).__name__}, which JAX does not know", registered)

@@ -51,7 +51,10 @@ d^2 times as slowly. In a unit of l metres (`length`) u_2 is multiplied by l^2,
 for the law "gradient"; in L, every 1 that is added to a squared length becomes l^2; and the limit
 of gamma becomes gamma dt (1 + |y|^2 / l^2) <= K / 2. With l about d, attitude and position converge
 equally fast. It is the same observer in another unit. With `length_growth` a the unit grows with
-the distance of the farthest measured landmark, l^2 = length^2 + a max |y_i|^2.
+the distance of the farthest measured landmark, l^2 = length^2 + a max |y_i|^2. Weights of landmarks
+are per square metre; with `landmark_unit` "length" they are per l^2, s_i / l^2 takes the place of
+s_i, so that the same K and weights suit landmarks at any distance: position then converges at the
+rate K sum s_i / 2, attitude at this rate times (d / l)^2.
 
 Stability. Let f be the cost whose negative gradient is U. Without noise and with constant gamma, f
 + |b_err|^2 / (2 gamma) never increases. With a varying gamma that function does not increase while
@@ -118,6 +121,8 @@ from posegsa.model.signal import (
 from posegsa.model.vectors import VectorSettings, Wahba, corrected
 
 Law = Literal["gradient", "printed"]
+LandmarkUnit = Literal["metre", "length"]
+"""What the weight of a landmark is per square of: a metre, or the unit of length."""
 GainLaw = Literal["fixed", "linear", "quadratic"]
 """How the gain of a bias law depends on K: constant, or in proportion to K or K^2."""
 
@@ -158,6 +163,8 @@ class FilterSettings:
     """How gamma depends on K."""
     substeps: int = field(default=2, metadata={"static": True})
     """n, number of inner steps per sample."""
+    landmark_unit: LandmarkUnit = field(default="metre", metadata={"static": True})
+    """Whether weights of landmarks are in 1/m^2 or in 1/l^2."""
     gamma_angular: Array | float = 2.5
     """gamma of the angular velocity's bias at K = 10/s [1/s^2]."""
     gamma_linear: Array | float = 2.5
@@ -167,7 +174,7 @@ class FilterSettings:
     vectors: VectorSettings = field(default_factory=VectorSettings)
     """Weights, normalisation and cross product of the vectors."""
     landmark_weights: tuple[Array, ...] | None = None
-    """s_i^L of each landmark [1/m^2]; None means 1 for all."""
+    """s_i^L of each landmark [1/m^2, or 1/l^2]; None means 1 for all."""
     vector_bias: VectorBias | None = None
     """How the vectors' biases are estimated; None if they are not."""
     per_angular_bias_bound: Array | None = None
@@ -297,6 +304,10 @@ def limited_correction(
 ) -> tuple[Correction, Array]:
     """W at an estimate, and the limited gain K [1/s] for a sub-step of h [s]."""
     unit = settings.unit(sample)
+    if settings.landmark_unit == "length":
+        per_unit = 1 / unit
+        weights = tuple(s * per_unit for s in seen.landmark_weights)
+        seen = seen._replace(landmark_weights=weights)
     U = innovation(state, sample, seen, unit)
     W = correction(state, U, settings.law, unit)
     # K h L <= c < 2: a gradient step that does not overshoot. If L is 0 (no measurements) or c is

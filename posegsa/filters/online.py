@@ -18,6 +18,7 @@ from jax import Array
 
 from posegsa.arguments import refuse
 from posegsa.filters.base import Filter, Samples, Sensors
+from posegsa.filters.calls import estimated, started, stepped
 from posegsa.filters.covariance import matrix
 from posegsa.filters.uncertainty import pose_covariance
 from posegsa.model.elementwise import maximum
@@ -130,7 +131,7 @@ class OnlineLoop:
         self.dtype = np.dtype(example.place[0].dtype)
         layout = Layout(parameters)
         sample = _sample_layout(*self._sensors)
-        before = self._filter.start(example, self._sensors)
+        before = started(self._filter, example, self._sensors)
         for leaf in jax.tree.leaves(before):
             if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
                 given = jnp.result_type(leaf)
@@ -156,9 +157,9 @@ class OnlineLoop:
     def start(self, initial: FilterState) -> np.ndarray:
         """The packed record before the first sample, at an initial estimate; its gains are NaN."""
         with jax.enable_x64(self.dtype == np.float64):
-            state = self._filter.start(initial, self._sensors)
+            state = started(self._filter, initial, self._sensors)
             ready = self._filter.ready()
-            estimate, covariance = ready.estimate(state), pose_covariance(ready, state)
+            estimate, covariance = estimated(ready, state), pose_covariance(ready, state)
             unknown = self.record.unpack(np.full(self.record.size, np.nan, self.dtype))
             first = unknown._replace(
                 state=state,
@@ -219,8 +220,8 @@ def _compiled(
         )
         ready = p.filter.ready()
         samples = Samples(now.time, p.filter.prepare(measurement), None)
-        after, record = ready.step(state.unpack(given[: state.size]), samples)
-        estimate = ready.estimate(after)
+        after, record = stepped(ready, state.unpack(given[: state.size]), samples)
+        estimate = estimated(ready, after)
         covariance, nis = pose_covariance(ready, after), record.nis
         if nis is not None and record.scalars is not None:
             nis = nis / maximum(record.scalars, 1.0)
@@ -244,10 +245,5 @@ def _compiled(
             for size in (state.size + sample.size, parameters.size)
         ]
         made = jax.eval_shape(step, *shapes)
-        if Layout(made.state) != state:
-            refuse(
-                f"filter: its step returns a state like {made.state}",
-                "the structure and the shapes of the state that `start` returns",
-            )
         after = Layout(made)
         return jax.jit(program).lower(*shapes).compile(), after

@@ -5,6 +5,7 @@ summed up inside the loop, so that its memory does not grow with time.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -23,6 +24,7 @@ from posegsa.filters.base import (
     sensors_in,
     sensors_of,
 )
+from posegsa.filters.calls import estimated, started, stepped
 from posegsa.filters.covariance import matrix
 from posegsa.filters.uncertainty import PoseCovariance, nees, pose_covariance
 from posegsa.model.cost import (
@@ -178,8 +180,8 @@ def run(
 
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
         (state, total), (now, entry) = carry, inputs
-        after, record = ready.step(state, now)
-        view = View(ready.estimate(state), pose_covariance(ready, state), record, now)
+        after, record = stepped(ready, state, now)
+        view = View(estimated(ready, state), pose_covariance(ready, state), record, now)
         total, stored = look(total, view, entry)
         return (after, total), stored
 
@@ -214,7 +216,7 @@ def simulate_cost(
         look,
         filter,
         samples,
-        filter.start(initial, sensors_in(samples)),
+        started(filter, initial, sensors_in(samples)),
         extra=(weights.transient, weights.steady),
         total=CostParts(zero, zero),
     )
@@ -239,7 +241,7 @@ def simulate_recorded_cost(
         look,
         filter,
         samples,
-        filter.start(initial, sensors_in(samples)),
+        started(filter, initial, sensors_in(samples)),
         extra=(recorded.weight, recorded.position),
         total=SquaredErrors(zero, zero),
     )
@@ -249,7 +251,7 @@ def simulate_recorded_cost(
 @jax.jit
 def simulate(filter: Filter, samples: Samples, initial: FilterState) -> Estimates:
     """The estimates of one simulation over all its samples."""
-    state = filter.start(initial, sensors_in(samples))
+    state = started(filter, initial, sensors_in(samples))
     _, _, stored = run(_everything, filter, samples, state)
     return _estimates(samples, stored)
 
@@ -294,9 +296,9 @@ def _nis(record: Record) -> Array | None:
 
 def simulate_errors(filter: Filter, samples: Samples, initial: FilterState) -> ErrorTrack:
     """The true errors of one simulation over all its samples (pure, jittable)."""
-    state = filter.start(initial, sensors_in(samples))
+    state = started(filter, initial, sensors_in(samples))
     last, _, errors = run(_true_errors, filter, samples, state)
-    return _error_track(samples, filter.ready().estimate(last), errors)
+    return _error_track(samples, estimated(filter.ready(), last), errors)
 
 
 def simulate_errors_together(
@@ -315,7 +317,8 @@ def simulate_errors_together(
         The states after the last sample, and the errors.
     """
     last, _, errors = run(_true_errors, filter, samples, states, count=count, together=True)
-    return last, _error_track(samples, jax.vmap(filter.ready().estimate)(last), errors)
+    estimates = jax.vmap(partial(estimated, filter.ready()))(last)
+    return last, _error_track(samples, estimates, errors)
 
 
 def _true_errors(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[()], Any]:
@@ -378,9 +381,11 @@ def step(
     """
     check_filter("filter", filter)
     check_type("measurement", measurement, Measurements)
-    if isinstance(state, FilterState):
-        refuse("state: a FilterState", "what filter.start(initial, sensors) returns")
     with fitting("step"):
+        if isinstance(state, FilterState):  # which is the state of some filters
+            sensors = sensors_of(measurement)
+            if not isinstance(started(filter, state, sensors), FilterState):
+                refuse("state: a FilterState", "what filter.start(initial, sensors) returns")
         return _step(filter, state, measurement, time)
 
 
@@ -389,7 +394,8 @@ def _step(
     filter: Filter, state: Any, measurement: Measurements, time: ArrayLike
 ) -> tuple[Any, Record]:
     since_start = jnp.asarray(time, measurement.time_step.dtype)
-    return filter.ready().step(state, Samples(since_start, filter.prepare(measurement), None))
+    now = Samples(since_start, filter.prepare(measurement), None)
+    return stepped(filter.ready(), state, now)
 
 
 def run_filter(filter: Filter, measurements: Measurements, initial: FilterState) -> Estimates:
@@ -410,5 +416,5 @@ def run_filter(filter: Filter, measurements: Measurements, initial: FilterState)
     check_type("initial", initial, FilterState)
     with fitting("run_filter"):
         measurements = measurements.checked()
-        filter.start(initial, sensors_of(measurements))
+        started(filter, initial, sensors_of(measurements))
         return simulate(filter, samples_of(filter, measurements), initial)

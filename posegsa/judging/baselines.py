@@ -6,7 +6,7 @@ addition to k1..k22 are tuned for each baseline too, so it has the filter, signa
 suit it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -14,10 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from posegsa import config
+from posegsa import config, steps
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
-from posegsa.judging.description import Description, candidate_of, configured_filter, describe
+from posegsa.judging.description import (
+    TITLES,
+    Description,
+    candidate_of,
+    configured_filter,
+    describe,
+)
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CONSTANT,
@@ -81,10 +87,10 @@ def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
 
 def searchable(experiment: config.Experiment) -> config.Experiment:
     """The experiment, with an optimiser that can search any schedule in a compiled loop."""
-    own: Optimiser = experiment.search
-    if own.on_host or any(phase.wants_gradients for phase in own.phases):
-        agents = max(own.agents, 4)  # differential evolution needs 4
-        iterations = max(1, own.evaluations // agents)
+    optimiser: Optimiser = experiment.search
+    if optimiser.on_host or any(phase.wants_gradients for phase in optimiser.phases):
+        agents = max(optimiser.agents, 4)  # differential evolution needs 4
+        iterations = max(1, optimiser.evaluations // agents)
         size = [f"search.agents={agents}", f"search.iterations={iterations}"]
         return config.override(experiment, ["search.optimiser=de", *size])
     return experiment
@@ -119,74 +125,72 @@ class Baseline(NamedTuple):
 
     experiment: config.Experiment
     """The experiment that describes the filter."""
-    search: Callable[[], Description]
-    """Finds the filter on the training scenarios."""
+    search: Callable[[TuningProblem], Description] | None
+    """Finds the filter on the training scenarios, in the form of its experiment; None for a filter
+    that is taken as configured."""
 
 
-def baselines(problem: TuningProblem, tuned: Description) -> dict[str, Baseline]:
+def baselines(experiment: config.Experiment, tuned: Description) -> dict[str, Baseline]:
     """The filters that can be compared with a tuned one, by name.
 
     Those that follow from the tuned filter (its numbers before the tuning, its gains replayed, a
     random search for it), gain schedules of the observer, and Kalman filters. The observer is that
     of the experiment, or the default one where the experiment has another filter.
     """
-    own = problem.experiment
-    observer = observer_experiment(own)
-    experiments = experiments_beside(own, tuned)
-    evaluations = own.search.evaluations
-
-    variants: list[TuningProblem] = [problem]
-
-    def made(experiment: config.Experiment) -> TuningProblem:
-        there = [one for one in variants if one.experiment == experiment]
-        if not there:
-            there = [variant_of(problem, experiment)]
-            variants.append(there[0])
-        return there[0]
-
-    def schedule(kind: str) -> Description:
-        found = search_baseline(made(observer), kind)
-        return describe(found, observer, evaluations)
-
-    def replay() -> Description:
-        candidate = candidate_of(tuned, own)
-        return describe(replayed(problem, candidate), own, 0)
-
-    def random() -> Description:
-        return describe(random_search(problem), own, evaluations)
-
-    def kalman(name: str) -> Description:
-        return tune_kalman(made(experiments[name]))
-
-    searches: dict[str, Callable[[], Description]] = {
-        AS_CONFIGURED: lambda: describe(Candidate(), own, 0),
-        **{name: partial(schedule, kind) for name, kind in _SCHEDULES.items()},
-        REPLAYED: replay,
-        RANDOM: random,
-        **{name: partial(kalman, name) for name in (EKF, EKF_VECTORS)},
-        UNTUNED: lambda: configured_filter(experiments[UNTUNED]),
-    }
-    return {name: Baseline(one, searches[name]) for name, one in experiments.items()}
+    found, observer = dict[str, Baseline](), observer_experiment(experiment)
+    if tuned.kind in TITLES:
+        found[AS_CONFIGURED] = Baseline(experiment, _as_configured)
+    for name, kind in _SCHEDULES.items():
+        if kind != tuned.kind:
+            found[name] = Baseline(observer, partial(_schedule, kind=kind))
+    if tuned.kind in ("fuzzy", "smooth"):
+        found[REPLAYED] = Baseline(experiment, partial(_replayed, tuned=tuned))
+    found[RANDOM] = Baseline(experiment, _random)
+    for name in (EKF, EKF_VECTORS):
+        kalman = kalman_experiment(experiment, vector_biases=name == EKF_VECTORS)
+        found[name] = Baseline(kalman, tune_kalman)
+    found[UNTUNED] = Baseline(untuned_kalman(experiment), None)
+    return found
 
 
 _SCHEDULES = {CONSTANT: "constant", SWITCH: "switch", SMOOTH: "smooth", OPEN_LOOP: "open loop"}
 
 
-def experiments_beside(
-    experiment: config.Experiment, tuned: Description
-) -> dict[str, config.Experiment]:
-    """The experiments of the filters that can be compared with a tuned one, by name."""
-    found = {}
-    if tuned.kind in ("kalman", "own"):
-        found[AS_CONFIGURED] = experiment
-    observer = observer_experiment(experiment)
-    found |= {name: observer for name, kind in _SCHEDULES.items() if kind != tuned.kind}
-    if tuned.kind in ("fuzzy", "smooth"):
-        found[REPLAYED] = experiment
-    found[RANDOM] = experiment
-    for name in (EKF, EKF_VECTORS):
-        found[name] = kalman_experiment(experiment, vector_biases=name == EKF_VECTORS)
-    return found | {UNTUNED: untuned_kalman(experiment)}
+def _as_configured(problem: TuningProblem) -> Description:
+    return describe(Candidate(), problem.experiment, 0)
+
+
+def _schedule(problem: TuningProblem, kind: str) -> Description:
+    experiment = problem.experiment
+    return describe(search_baseline(problem, kind), experiment, experiment.search.evaluations)
+
+
+def _replayed(problem: TuningProblem, tuned: Description) -> Description:
+    experiment = problem.experiment
+    return describe(replayed(problem, candidate_of(tuned, experiment)), experiment, 0)
+
+
+def _random(problem: TuningProblem) -> Description:
+    experiment = problem.experiment
+    return describe(random_search(problem), experiment, experiment.search.evaluations)
+
+
+def search_baselines(
+    problem: TuningProblem, some: Mapping[str, Baseline]
+) -> dict[str, Description]:
+    """The filters of baselines, each searched on a problem's training scenarios."""
+    problems, found = [problem], {}
+    for name in steps.each("searching", list(some), str):
+        experiment, search = some[name]
+        if search is None:
+            found[name] = configured_filter(experiment)
+            continue
+        there = next((one for one in problems if one.experiment == experiment), None)
+        if there is None:
+            there = variant_of(problem, experiment)
+            problems.append(there)
+        found[name] = search(there)
+    return found
 
 
 def observer_experiment(experiment: config.Experiment) -> config.Experiment:
@@ -217,10 +221,10 @@ def batch_for(
     or for an observer that learns the vectors' biases. For any other filter, and for another start,
     they are drawn again, by their keys.
     """
-    filter, own = filter_of(experiment), batch.filter
+    filter, made_for = filter_of(experiment), batch.filter
     if experiment.scenario.start != before.scenario.start:
         return scenario_batch(experiment, scenario_keys, filter)
-    one_by_one = isinstance(own, Observer) and own.settings.vector_bias is not None
-    if isinstance(filter, KalmanFilter) and (one_by_one or isinstance(own, KalmanFilter)):
+    one_by_one = isinstance(made_for, Observer) and made_for.settings.vector_bias is not None
+    if isinstance(filter, KalmanFilter) and (one_by_one or isinstance(made_for, KalmanFilter)):
         return batch._replace(filter=filter)
     return scenario_batch(experiment, scenario_keys, filter)

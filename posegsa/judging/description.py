@@ -3,7 +3,7 @@
 import reprlib
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,15 +18,7 @@ from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.noise_schedules import NO_NOISE_GAINS, NoiseGains
 from posegsa.filters.observer import Observer
 from posegsa.model.fuzzy import Rules
-from posegsa.model.schedules import (
-    ConstantGain,
-    FuzzyGain,
-    GainSchedule,
-    KnotGain,
-    RampGain,
-    SmoothGain,
-    SwitchGain,
-)
+from posegsa.model.schedules import SCHEDULES, FuzzyGain, GainSchedule, KnotGain
 from posegsa.search.candidates import Candidate, Schedule
 from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
@@ -35,23 +27,16 @@ from posegsa.search.search_spaces import parameter_space, rule_table
 from posegsa.settings.fields import Number
 from posegsa.words import text_table
 
-Kind = Literal["fuzzy", "constant", "switch", "smooth", "open loop", "kalman", "imu", "own"]
+TITLES = {kind: one.title for kind, one in config.FILTERS.items() if kind != "observer"}
+"""Titles of the filters that are not an observer, by kind."""
+KINDS = (*SCHEDULES, *TITLES)
 """The observer by its gain schedule, another filter of posegsa, or a user's own."""
-SCHEDULES: dict[Kind, type] = {
-    "constant": ConstantGain,
-    "switch": SwitchGain,
-    "smooth": SmoothGain,
-    "open loop": KnotGain,
-}
-"""The types of schedules without a controller, by the kind of their `Description`."""
-TYPES: dict[str, type] = {**SCHEDULES, "ramp": RampGain, "clock": KnotGain}
-"""The same, with those that only a Kalman filter's noises can have."""
-TITLES: Mapping[Kind, str] = {
-    "kalman": "Kalman filter",
-    "imu": "filter for inertial sensors",
-    "own": "filter of the user's own",
-}
-"""Titles of the kinds that are not a gain."""
+
+
+def _kind(given: str) -> str:
+    if given not in KINDS:
+        raise ValueError(f"allowed: {', '.join(KINDS)}")
+    return given
 
 
 def check_kind(experiment: Experiment, job: str) -> None:
@@ -63,7 +48,8 @@ def check_kind(experiment: Experiment, job: str) -> None:
 class Description(NamedTuple):
     """A filter as it is stored, by its own numbers."""
 
-    kind: Kind
+    kind: Annotated[str, AfterValidator(_kind)]
+    """One of `KINDS`."""
     numbers: dict[str, list[Number]]
     """Numbers of the schedule, by name; a single number is a list of one. Empty without a
     schedule."""
@@ -78,16 +64,16 @@ class Description(NamedTuple):
         return title_of(self.kind)
 
 
-def title_of(kind: Kind) -> str:
+def title_of(kind: str) -> str:
     """The title of a kind of filter, for use in a sentence."""
     return TITLES.get(kind, f"{kind} gain")
 
 
-def kind_of(experiment: Experiment) -> Kind:
+def kind_of(experiment: Experiment) -> str:
     """The kind of the filter that an experiment searches."""
     section = experiment.filter
     is_observer = isinstance(section, config.ObserverConfig)
-    return cast(Kind, section.schedule if is_observer else section.kind)
+    return section.schedule if is_observer else section.kind
 
 
 def _of_its_kind(found: Description) -> Description:
@@ -106,7 +92,7 @@ def _of_its_kind(found: Description) -> Description:
             roles = {name.partition(".")[0] for name in lengths}
             fits = roles <= {*NoiseGains._fields}
             allowed = "those of its schedules, by role, such as unknown.k"
-        case "imu" | "own":
+        case kind if kind in TITLES:
             fits, allowed = not lengths, "none, they are among those of `also`"
         case kind:
             names = [field.name for field in fields(SCHEDULES[kind])]
@@ -124,14 +110,13 @@ def describe(candidate: Candidate, experiment: Experiment, evaluations: int) -> 
     """The description of a candidate of an experiment, as it is stored."""
     schedule, also = candidate.schedule, candidate.values_by_key()
     if schedule is None or isinstance(schedule, NoiseGains):
-        kind, numbers = cast(Kind, experiment.filter.kind), {}
+        kind, numbers = experiment.filter.kind, {}
         for role, one in (schedule or NO_NOISE_GAINS)._asdict().items():
             if one is not None:
                 own = _numbers_of(one, experiment).items()
                 numbers |= {f"{role}.{name}": values for name, values in own}
         return Description(kind, numbers, also, evaluations)
-    kinds: dict[type, Kind] = {type_: kind for kind, type_ in SCHEDULES.items()}
-    kind = kinds.get(type(schedule), "fuzzy")
+    kind = next(kind for kind, made in SCHEDULES.items() if isinstance(schedule, made))
     return Description(kind, _numbers_of(schedule, experiment), also, evaluations)
 
 
@@ -177,7 +162,7 @@ def _schedule(
         space = parameter_space(experiment)
         space = replace(space, rules=_rules_of(numbers, space))
         return space.schedule(arrays["k"])
-    made = TYPES[kind]
+    made: Any = KnotGain if kind == "clock" else SCHEDULES[kind]
     return made(**arrays if made is KnotGain else {name: a[0] for name, a in arrays.items()})
 
 

@@ -27,7 +27,7 @@ class Endurance(NamedTuple):
     """Root mean square errors over all scenarios in w windows of time, each (w,)."""
 
     begin: PerWindow
-    """Start of each window [s]; the first window is that of the training scenarios."""
+    """Start of each window [s]; the first is as long as a training scenario."""
     end: PerWindow
     """End of each window [s]."""
     attitude: PerWindow
@@ -73,7 +73,8 @@ class Endurance(NamedTuple):
                     ),
                 ]
             )
-        title = f"Long after the window, on {counted(scenarios, 'other unseen scenario')}:"
+        unseen = counted(scenarios, "other unseen scenario")
+        title = f"In the time that it was tuned for and long after, on {unseen}:"
         return f"{title}\n\n{text_table(rows)}\n{POSITION_WORDS}"
 
     def worse(self) -> list[str]:

@@ -13,6 +13,7 @@ from posegsa.arguments import MAX_INTEGER
 from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.description import Description, StoredFilter
 from posegsa.judging.metrics import POSITION_WORDS, Bands, Metrics, metrics_of
+from posegsa.judging.verdict import Loss, verdict
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 from posegsa.words import counted, text_table
@@ -110,11 +111,6 @@ def called(name: str) -> str:
     """A contender's name within a sentence."""
     words = {AS_CONFIGURED: "the filter before tuning", NOT_TUNED: NOT_TUNED}
     return words.get(name, f"the {name}")
-
-
-def how_to_take(name: str) -> str:
-    """How to get the first of several better filters, in words; "" if there is no short way."""
-    return f" To take the first of them: {ADVICE[name]}." if name in ADVICE else ""
 
 
 def own_name(found: Description) -> str:
@@ -267,34 +263,45 @@ class Evaluation:
 
     @np.errstate(over="ignore", invalid="ignore")  # a filter may diverge to any number
     def verdict(self) -> str:
-        """How far the judged filter errs, and which filters beside it cost less (`better`).
+        """Which of the compared filters is best, in a sentence.
 
-        In the second window, in which errors have settled.
+        The cost orders them; errors are those in the second window, in which they have settled, on
+        the scenarios where they are finite.
         """
         metrics = self.contenders[self.own].metrics
-        degrees, metres = np.mean(metrics.rms_attitude), np.mean(metrics.rms_distance)
-        head = (
-            f"On {counted(self.scenarios, 'unseen scenario')} the filter errs by {degrees:.3g} deg "
-            f"and {100 * metres:.3g} cm once it has settled."
-        )
-        if self.clairvoyant is not None:
-            head += (
-                f" Its cost is {self.cost(self.own).mean:.4g}; the clairvoyant, which knows what "
-                f"no filter can know, has {self.cost(CLAIRVOYANT).mean:.4g}."
-            )
-        others = [name for name in self.contenders if name != self.own]
-        listed, better = ", ".join(others), self.better
-        if others and all(math.isnan(self.difference(name).low) for name in others):
+        errors = np.stack([metrics.rms_attitude, metrics.rms_distance])
+        finite = np.isfinite(errors).all(axis=0)
+        where = counted(self.scenarios, "unseen scenario")
+        if not finite.any():
+            return f"On {where} the filter has no finite error."
+        degrees, metres = np.mean(errors[:, finite], axis=1)
+        own = f"{degrees:.3g} deg and {100 * metres:.3g} cm once settled"
+        if lost := np.count_nonzero(~finite):
+            own += f" (no finite error on {lost} of them)"
+        less = {name: self.difference(name) for name in self.contenders if name != self.own}
+        listed = ", ".join(less)
+        if less and all(math.isnan(each.low) for each in less.values()):
             why = "too few scenarios, or infinite costs"
-            return f"{head} It cannot be compared with the others ({listed}): {why}."
-        if not better:
-            return f"{head} No other filter ({listed}) costs less by more than chance."
-        parts = [
-            f"{called(name)} by {less.mean:.3g} ({less.low:.3g} to {less.high:.3g})"
-            for name, less in better.items()
+            return f"On {where} the filter errs by {own} and cannot be compared ({listed}): {why}."
+        if not less:
+            return f"On {where} the filter errs by {own}; there is none to compare it with."
+        order = sorted(less, key=lambda name: np.nan_to_num(less[name].mean, nan=-math.inf))[::-1]
+        found = {called(name): self._losses(name, less[name]) for name in order}
+        names = {called(name) for name in order if less[name].mean > 0}
+        better = {name: each for name, each in found.items() if name in names}
+        others = {name: each for name, each in found.items() if name not in names}
+        return verdict(where, own, better, others, {called(k): how for k, how in ADVICE.items()})
+
+    def _losses(self, name: str, cost: Interval) -> list[Loss]:
+        """How much less a contender errs [deg], [cm], and costs."""
+        own, other = (self.contenders[each].metrics for each in (self.own, name))
+        degrees = interval(np.asarray(own.rms_attitude) - np.asarray(other.rms_attitude))
+        metres = interval(np.asarray(own.rms_distance) - np.asarray(other.rms_distance))
+        return [
+            Loss(*degrees, "deg"),
+            Loss(100 * metres.mean, 100 * metres.low, 100 * metres.high, "cm"),
+            Loss(*cost, "of the cost"),
         ]
-        take = how_to_take(next(iter(better)))
-        return f"{head} Less cost: {', '.join(parts)}, with 95 % intervals.{take}"
 
     def table(self) -> str:
         """Both tables as text."""

@@ -55,7 +55,7 @@ from posegsa.search.run_search import Found
 from posegsa.version import VERSION
 
 _PARTS = (
-    "the filter compared with it",
+    "the filter to compare with",
     "unseen scenarios",
     "references",
     "one run",
@@ -143,11 +143,11 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -
     `found` is its description.
     """
     experiment, scenarios = problem.experiment, problem.simulated
-    _begin("the filter compared with it")
+    _begin("the filter to compare with")
     name, other, evaluations = _beside(problem, tuned)
-    own = own_name(found)
-    candidates = {own: tuned, name: other}
-    descriptions = {own: found, name: describe(other, experiment, evaluations)}
+    judged = own_name(found)
+    candidates = {judged: tuned, name: other}
+    descriptions = {judged: found, name: describe(other, experiment, evaluations)}
     _begin("unseen scenarios")
     # Training and held-out scenarios run together, so each kind of schedule compiles once.
     count = experiment.run.training_scenarios
@@ -177,7 +177,7 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -
         training=training,
         evaluation=evaluation(contenders, problem.held_out, clairvoyant=clairvoyant),
         endurance=long_after,
-        trust=trust.check(problem, tuned, tracks[own], trajectory),
+        trust=trust.check(problem, tuned, tracks[judged], trajectory),
         trajectory=trajectory,
     )
 
@@ -201,9 +201,8 @@ def _beside(problem: TuningProblem, tuned: Candidate) -> tuple[str, Candidate, i
 
 def _untuned(problem: TuningProblem) -> dict[str, Contender]:
     """The untuned Kalman filter on the held-out scenarios, by name; none where it cannot start."""
-    own = problem.experiment
-    plain = untuned_kalman(own)
-    keys = held_out_keys(own.run.seed, own.run.held_out_scenarios)
+    plain, run = untuned_kalman(problem.experiment), problem.experiment.run
+    keys = held_out_keys(run.seed, run.held_out_scenarios)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PosegsaWarning)  # of a start that no sample fixes
         batch = scenario_batch(plain, keys)
@@ -233,13 +232,13 @@ def on_recordings(
             and those without a truth do not judge it.
         simulated: Its costs on simulated scenarios that were tuned on in addition to recordings.
     """
-    own, filter = result.experiment, result.filter
+    experiment, filter = result.experiment, result.filter
     judges = [
         [one for one in some if one.truth is not None or result.search is not None]
         for some in (training, held_out)
     ]
     scores = [
-        scored(filter, own, [one], result.own)[0]
+        scored(filter, experiment, [one], result.own)[0]
         for one in steps.each("judging", [*judges[0], *judges[1]], lambda one: one.name)
     ]
     judged = OnRecordings(

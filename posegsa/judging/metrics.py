@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array
 
 from posegsa.filters.base import Filter, Samples, Sensors, sensors_in
+from posegsa.filters.calls import started
 from posegsa.filters.rollout import ErrorTrack, simulate_errors_together
 from posegsa.model.estimate import FilterState
 from posegsa.search.candidates import Candidate
@@ -114,7 +115,7 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
 def _started(candidate: Candidate, shared: Filter, initial: FilterState, sensors: Sensors) -> Any:
     """States (S, ...) before the first sample."""
     filter = candidate.applied(shared)
-    return jax.vmap(lambda one: filter.start(one, sensors))(initial)
+    return jax.vmap(lambda one: started(filter, one, sensors))(initial)
 
 
 @jax.jit

@@ -13,9 +13,10 @@ from posegsa.errors import RecordingError
 from posegsa.filters.base import sensors_of
 from posegsa.filters.rollout import Estimates
 from posegsa.judging.description import Description, described_filter
-from posegsa.judging.evaluation import CONSTANT, how_to_take
+from posegsa.judging.evaluation import ADVICE, CONSTANT
 from posegsa.judging.known_sensors import StoredSensors
 from posegsa.judging.replayed import HEADS, error_rows, replayed_on, with_heads
+from posegsa.judging.verdict import Loss, verdict
 from posegsa.recordings.accuracy import AnyNumber, Blocks, Rmse
 from posegsa.recordings.fingerprint import fingerprint
 from posegsa.recordings.imu import as_read_by
@@ -126,34 +127,27 @@ class OnRecordings:
         )
 
     def verdict(self) -> str:
-        """Which of the compared filters do better on the held-out recordings, the best first.
+        """Which of the compared filters is best on the held-out recordings, in a sentence.
 
-        "" if there are none. Errors are means over the recordings; they count as equal if they
-        differ by less than MATTERS.
+        "" if there are none. Errors are means over the recordings; a filter is better if it errs
+        less in attitude or in position, by more than MATTERS.
         """
         if not (self.held_out and self.baselines):
             return ""
         own = mean_errors(self.held_out)
-        better: list[tuple[float, str, str]] = []
-        for name, scores in self.baselines.items():
-            found = shares(self.held_out, scores)
-            least = min(each.share for each in found.values())
-            if least < 1 / MATTERS:
-                parts = [f"{each} in {of}" for of, each in found.items()]
-                better.append((least, f"{name} ({', '.join(parts)})", how_to_take(name)))
-        position = "" if own.position is None else f" and {100 * own.position:.3g} cm"
-        head = f"On what was held out the filter errs by {own.total:.3g} deg{position}. "
-        beside = ", ".join(self.baselines)
-        if not better:
-            return (
-                f"{head}No other filter ({beside}) errs less, in attitude or in position: take "
-                "it, `posegsa export RUN --format c` or `posegsa replay RUN FILE`."
-            )
-        better.sort()
-        listed = "; ".join(words for _, words, _ in better)
-        return (
-            f"{head}Better, as shares of these errors with 95 % intervals: {listed}.{better[0][2]}"
-        )
+        errors = f"{own.total:.3g} deg"
+        if own.position is not None:
+            errors += f" and {100 * own.position:.3g} cm"
+        found = {name: losses(self.held_out, scores) for name, scores in self.baselines.items()}
+        scale = {"deg": own.total, "cm": 100 * (own.position or 0.0)}
+        gain = {
+            name: max(_share(loss.mean, scale[loss.unit]) for loss in each)
+            for name, each in found.items()
+        }
+        order = sorted(found, key=lambda name: gain[name], reverse=True)
+        better = {name: found[name] for name in order if gain[name] > 1 - 1 / MATTERS}
+        others = {name: found[name] for name in order if name not in better}
+        return verdict("what was held out", errors, better, others, ADVICE)
 
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""
@@ -207,49 +201,46 @@ class OnRecordings:
         return "\n".join(dict.fromkeys(lines))
 
 
-class ErrorShare(NamedTuple):
-    """An error as a share of another filter's, with a 95 % interval; NaN where it is too short."""
-
-    share: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        words = f"{100 * self.share:.0f} %"
-        if not (np.isfinite(self.low) and np.isfinite(self.high)):
-            return words
-        chance = ", maybe by chance," if self.low <= 1 <= self.high else ""
-        return f"{words} [{100 * self.low:.0f} to {100 * self.high:.0f}]{chance}"
-
-
 @np.errstate(all="ignore")  # a filter may diverge to any number
-def shares(own: Sequence[RecordingScore], other: Sequence[RecordingScore]) -> dict[str, ErrorShare]:
-    """Another filter's errors of attitude and position as shares of the own filter's.
+def losses(own: Sequence[RecordingScore], other: Sequence[RecordingScore]) -> list[Loss]:
+    """How much less another filter errs in attitude [deg] and, where both have one, position [cm].
 
     The interval is a bootstrap over blocks of some seconds, the same for both filters.
     """
     means = mean_errors(own), mean_errors(other)
-    found = {"attitude": _share(means[1].total / means[0].total, own, other, 0)}
-    if means[0].position and means[1].position is not None:
-        ratio = means[1].position / means[0].position
-        found["position"] = _share(ratio, own, other, 1)
+    found = [_loss(means[0].total - means[1].total, own, other, 0, "deg")]
+    if means[0].position is not None and means[1].position is not None:
+        difference = 100 * (means[0].position - means[1].position)
+        found.append(_loss(difference, own, other, 1, "cm"))
     return found
 
 
-def _share(
-    ratio: float, own: Sequence[RecordingScore], other: Sequence[RecordingScore], which: int
-) -> ErrorShare:
-    """A ratio with its interval, from the attitude's blocks (0) or the position's (1)."""
-    rng, sums = np.random.default_rng(0), np.zeros((2, DRAWS))
+def _loss(
+    mean: float,
+    own: Sequence[RecordingScore],
+    other: Sequence[RecordingScore],
+    which: int,
+    unit: str,
+) -> Loss:
+    """A difference with its interval, from the attitude's blocks (0) or the position's (1)."""
+    rng, differences = np.random.default_rng(0), np.zeros(DRAWS)
     for pair in zip(own, other, strict=True):
         squares = np.array([pair[0].blocks[which], pair[1].blocks[which]], np.float64)
         count = squares.shape[1]
         if count < FEWEST_BLOCKS:
-            return ErrorShare(ratio, np.nan, np.nan)
-        drawn = rng.integers(count, size=(DRAWS, count))
-        sums += np.sqrt(squares[:, drawn].mean(axis=2))
-    low, high = np.quantile(sums[1] / sums[0], (0.025, 0.975))
-    return ErrorShare(ratio, float(low), float(high))
+            return Loss(mean, np.nan, np.nan, unit)
+        errors = np.sqrt(squares[:, rng.integers(count, size=(DRAWS, count))].mean(axis=2))
+        differences += (errors[0] - errors[1]) / len(own)
+    low, high = np.quantile(differences, (0.025, 0.975)) * (100 if unit == "cm" else 1)
+    return Loss(mean, float(low), float(high), unit)
+
+
+def _share(part: float, whole: float) -> float:
+    """A loss as a share of an error. It is 1 of an infinite error, and lowest if it is NaN."""
+    if part == np.inf:
+        return 1.0
+    share = part / whole if whole else 0.0
+    return share if np.isfinite(share) else -np.inf
 
 
 def _rows(scores: Sequence[RecordingScore]) -> list[list[str]]:

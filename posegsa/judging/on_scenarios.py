@@ -59,12 +59,19 @@ class OnScenarios:
             for name in (UNTUNED, CLAIRVOYANT)
             if name in costs
         ]
-        parts = [
-            text_table(rows),
+        one_run = (
             "On one unseen scenario, second half: attitude error "
             f"{_rms(last.attitude_error[settled]):.2f} deg RMS, distance |P_est - P| "
             f"{100 * _rms(last.distance[settled]):.1f} cm RMS (the cost's position error, "
-            f"|P_est - R_err P|: {100 * _rms(last.position_error[settled]):.1f} cm).",
+            f"|P_est - R_err P|: {100 * _rms(last.position_error[settled]):.1f} cm)."
+        )
+        if last.lost is not None:
+            one_run = (
+                f"On one unseen scenario the estimate is not finite from {last.lost:.4g} s on."
+            )
+        parts = [
+            text_table(rows),
+            one_run,
             self.endurance.table((self.evaluation.own, self.beside), endurance_scenarios),
         ]
         if self.trust.rule_weights is not None:
@@ -74,10 +81,31 @@ class OnScenarios:
             )
         return "\n\n".join(parts)
 
+    def not_finite(self) -> str:
+        """On how many scenarios the judged filter has no finite cost, in words; "" if on none."""
+        own = self.evaluation.own
+        costs = {"training": self.training[own], "held-out": self.evaluation.costs[own]}
+        each = [
+            f"{bad} of {counted(len(some), f'{words} scenario')}"
+            for words, some in costs.items()
+            if (bad := np.count_nonzero(~np.isfinite(some)))
+        ]
+        if not each:
+            return ""
+        since = self.trajectory.lost
+        when = (
+            ""
+            if since is None
+            else f"; on the first held-out one its estimate is not finite from {since:.4g} s on"
+        )
+        return f"{called(own)} has no finite cost on {' and '.join(each)}{when}"
+
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""
         found, t, own = [], self.trust, self.evaluation.own
-        if t.sensitive:
+        if lost := self.not_finite():
+            found.append(f"NOT FINITE: {lost}: do not trust this filter")
+        if t.chaotic:
             found.append(
                 f"SENSITIVE: training cost {t.cost_float32:.4g} in float32, {t.cost_float64:.4g} "
                 f"in float64, {t.cost_perturbed:.4g} from a start changed by 1e-6; they should "

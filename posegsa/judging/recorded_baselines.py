@@ -11,7 +11,7 @@ from dataclasses import replace
 import jax
 
 from posegsa import config, steps
-from posegsa.judging.baselines import baselines
+from posegsa.judging.baselines import baselines, search_baselines
 from posegsa.judging.description import configured_filter, describe
 from posegsa.judging.evaluation import (
     CONSTANT,
@@ -54,7 +54,7 @@ def judged_beside_baselines(
     """
     before = result.on_recordings
     with jax.enable_x64(result.experiment.run.dtype == "float64"):
-        own = scored(result.filter, result.experiment, recordings, result.own)
+        its_own = scored(result.filter, result.experiment, recordings, result.own)
         if result.filter.kind == "imu":  # no other filter of posegsa reads these sensors
             baselines = {}
         elif training:
@@ -65,9 +65,9 @@ def judged_beside_baselines(
             baselines = {}
         baselines |= _others(others, recordings)
     judged = before or OnRecordings(training=[], held_out=[])
-    if [one.fingerprint for one in judged.held_out] == [one.fingerprint for one in own]:
+    if [one.fingerprint for one in judged.held_out] == [one.fingerprint for one in its_own]:
         baselines = judged.baselines | baselines
-    judged = replace(judged, held_out=own, baselines=baselines)
+    judged = replace(judged, held_out=its_own, baselines=baselines)
     return replace(result, on_recordings=judged)
 
 
@@ -75,18 +75,20 @@ def _tuned_on(
     result: Result, recordings: Sequence[Recording], training: Sequence[Recording]
 ) -> Scores:
     """Scores of constant gains and of a Kalman filter, both tuned on recordings."""
-    own, found = result.experiment, {}
+    experiment, found = result.experiment, {}
     weight = DEGREES_PER_METRE if result.search is None else result.search.position_weight
     weight = weight or DEGREES_PER_METRE
     if result.filter.kind != "constant":
         steps.begin("searching", about=CONSTANT)
-        constant = config.override(_observer_on_recordings(own), ["filter.schedule=constant"])
+        constant = config.override(
+            _observer_on_recordings(experiment), ["filter.schedule=constant"]
+        )
         problem = recorded_problem(constant, training, weight, strict=False)
         candidate = problem.space.candidate(run_search(problem, tell_share).search.best_position)
         description = describe(candidate, problem.experiment, constant.search.evaluations)
         found[CONSTANT] = scored(description, problem.experiment, recordings)
     steps.begin("searching", about=EKF)
-    kalman = kalman_experiment(own, vector_biases=False)
+    kalman = kalman_experiment(experiment, vector_biases=False)
     kalman = kalman.replace(**{"objective.simulated_share": 0.0})
     problem = recorded_problem(kalman, training, weight, strict=False)
     found[EKF] = scored(tune_kalman(problem), problem.experiment, recordings)
@@ -110,15 +112,11 @@ def _tuned_on_scenarios(
     contenders = result.on_scenarios.evaluation.contenders
     known = {name: each.filter for name, each in contenders.items()}
     problem = tuning_problem(result.experiment, cost, result.own)
-    possible, found = baselines(problem, result.filter), {}
-    for name in (CONSTANT, EKF):
-        if name not in possible:
-            continue
-        if name not in known:
-            steps.begin("searching", about=name)
-            known[name] = possible[name].search()
-        found[name] = scored(known[name], possible[name].experiment, recordings)
-    return found
+    possible = baselines(problem.experiment, result.filter)
+    wanted = {name: possible[name] for name in (CONSTANT, EKF) if name in possible}
+    lacking = {name: each for name, each in wanted.items() if name not in known}
+    known |= search_baselines(problem, lacking)
+    return {name: scored(known[name], each.experiment, recordings) for name, each in wanted.items()}
 
 
 def _others(asked: bool | None, recordings: Sequence[Recording]) -> Scores:

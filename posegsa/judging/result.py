@@ -328,8 +328,12 @@ class Result:
         return "\n".join(["\n\n".join(filter(None, parts)), *lines])
 
     def at_ends(self) -> list[str]:
-        """Which of the other tuned numbers are at an end of their box, in words."""
+        """Which of the tuned numbers are at an end of their box, in words."""
         found, tuned = [], {} if self.search is None else self.also
+        if self.search is not None and (listed := self._k_at_ends()):
+            found.append(
+                f"{', '.join(listed)}: at an end of the box ([parameters] lower and upper)"
+            )
         for one in self.experiment.also:
             if one.key not in tuned or one.lower == one.upper:
                 continue
@@ -342,6 +346,21 @@ class Result:
                     f"{one.key} = {tuned[one.key]:.4g} is at the {end} end of its box, "
                     f"{one.lower:g} to {one.upper:g}: widen it ([[parameters.also]]), or state it"
                 )
+        return found
+
+    def _k_at_ends(self) -> list[str]:
+        """The k's at an end of their box, with the box."""
+        found, boxes = [], self.experiment.parameters
+        for name, values in self.filter.numbers.items():
+            before, _, last = name.rpartition("k")
+            if last or len(values) != len(PARAMETERS):
+                continue
+            for k, value, low, high in zip(
+                PARAMETERS, values, boxes.lower, boxes.upper, strict=True
+            ):
+                near = AT_END * (high - low)
+                if high > low and not low + near <= value <= high - near:
+                    found.append(f"{before}{k} = {value:.4g} ({low:g} to {high:g})")
         return found
 
     def _kept(self) -> str:

@@ -91,6 +91,12 @@ class Trajectory:
     vector_bias_error: Annotated[np.ndarray, _column("bias_error_v#", each=True)]
     """(N, n) distances of these biases from the true ones, in the vectors' unit."""
 
+    @property
+    def lost(self) -> float | None:
+        """Time from which the estimated pose is not finite [s]; None if it always is."""
+        off = ~(np.isfinite(self.attitude_error) & np.isfinite(self.distance))
+        return float(self.time[np.argmax(off)]) if off.any() else None
+
 
 def trajectory(
     rotation: ArrayLike, position: ArrayLike, estimates: Estimates, vector_bias: ArrayLike

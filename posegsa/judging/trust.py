@@ -46,6 +46,12 @@ class Trust:
     the trajectory diverged to NaN. None without rules."""
 
     @property
+    def chaotic(self) -> bool:
+        """Whether it is sensitive, other than by costs of which none is finite."""
+        costs = (self.cost_float32, self.cost_float64, self.cost_perturbed)
+        return self.sensitive and bool(np.isfinite(costs).any())
+
+    @property
     def used_rules(self) -> int:
         """Number of rules that carry at least 1 % of all firing strength; 0 without rules."""
         if self.rule_weights is None:
@@ -55,11 +61,11 @@ class Trust:
 
 
 def check(
-    problem: TuningProblem, tuned: Candidate, own: ErrorTrack, trajectory: Trajectory
+    problem: TuningProblem, tuned: Candidate, errors: ErrorTrack, trajectory: Trajectory
 ) -> Trust:
     """Check the tuned candidate of a problem.
 
-    `own` are its errors on all scenarios of the problem; `trajectory` is its run on one of them.
+    `errors` are its errors on all scenarios of the problem; `trajectory` is its run on one of them.
     """
     experiment = problem.experiment
 
@@ -67,7 +73,7 @@ def check(
         metrics, _ = metrics_of(tracks, problem.training, problem.cost)
         return float(np.mean(metrics.cost))
 
-    cost = mean_cost(own.select(slice(experiment.run.training_scenarios)))
+    cost = mean_cost(errors.select(slice(experiment.run.training_scenarios)))
     schedule = tuned.schedule
     controller = schedule.controller if isinstance(schedule, FuzzyGain) else None
     start = problem.training.initial

@@ -33,11 +33,11 @@ def kalman_experiment(experiment: config.Experiment, *, vector_biases: bool) -> 
 
     They are those of the experiment's own Kalman filter, if it has one, without its schedules.
     """
-    own = experiment.filter
-    kept = _KEPT if isinstance(own, config.KalmanConfig) else ()
+    section = experiment.filter
+    kept = _KEPT if isinstance(section, config.KalmanConfig) else ()
     filter = config.KalmanConfig(
         vector_bias="estimated" if vector_biases else "off",
-        **{name: getattr(own, name) for name in kept},
+        **{name: getattr(section, name) for name in kept},
     )
     return with_kalman(experiment, filter)
 

@@ -5,7 +5,7 @@ rate, the time and its own last gain; it does not depend on the filter.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, Self
+from typing import ClassVar, NamedTuple, Protocol, Self
 
 import jax
 import jax.numpy as jnp
@@ -79,6 +79,7 @@ class _Prepared:
 class ConstantGain(_Prepared):
     """A constant gain K [1/s]: the baseline."""
 
+    formula: ClassVar[str] = "K = gain [1/s]"
     gain: Array
 
     def initial_gain(self) -> Array:
@@ -105,6 +106,10 @@ class _PreparedFuzzyGain(NamedTuple):
 class FuzzyGain:
     """The paper's schedule: a fuzzy controller with the inputs error and rate."""
 
+    formula: ClassVar[str] = (
+        "K = offset + centroid [1/s] by Mamdani inference: min for AND and implication, max for "
+        "aggregation."
+    )
     controller: FuzzyController
 
     def initial_gain(self) -> Array:
@@ -159,6 +164,9 @@ class SearchedRulesGain:
 class SmoothGain(_Prepared):
     """K(e) = low + (high - low) e^2 / (e^2 + half^2), a smooth schedule with three parameters."""
 
+    formula: ClassVar[str] = (
+        "K = low + (high - low) e^2 / (e^2 + half^2) [1/s], e: the scaled error in [0, 1]"
+    )
     low: Array
     """K at small errors [1/s]."""
     high: Array
@@ -185,6 +193,9 @@ class RampGain(_Prepared):
     logarithms, this is a power of the residual above a threshold.
     """
 
+    formula: ClassVar[str] = (
+        "K = 1 + 100 slope (e - start) [1/s], from 1 to 101, e: the scaled error in [0, 1]"
+    )
     start: Array
     """The scaled error up to which K is 1."""
     slope: Array
@@ -205,6 +216,7 @@ class RampGain(_Prepared):
 class KnotGain(_Prepared):
     """K(t): an open-loop gain sequence, piecewise exponential between knots."""
 
+    formula: ClassVar[str] = "K = exp of log_gain [log 1/s] interpolated linearly over time [s]"
     time: Array
     """(n,) times of the knots [s], ascending."""
     log_gain: Array
@@ -225,6 +237,7 @@ class KnotGain(_Prepared):
 class SwitchGain(_Prepared):
     """One gain before a time and another after it; a second time starts the vectors' bias law."""
 
+    formula: ClassVar[str] = "K = before [1/s] until time [s], then K = after [1/s]"
     before: Array
     """K before `time` [1/s]."""
     after: Array
@@ -246,6 +259,18 @@ class SwitchGain(_Prepared):
         gain = jnp.where(inputs.time < self.time, before, after)
         learning = jnp.where(inputs.time < self.learning_time, 0.0, 1.0).astype(dtype)
         return Gains(jnp.broadcast_to(gain, shape), jnp.broadcast_to(learning, shape))
+
+
+SCHEDULES = {
+    "fuzzy": FuzzyGain,
+    "constant": ConstantGain,
+    "switch": SwitchGain,
+    "smooth": SmoothGain,
+    "ramp": RampGain,
+    "open loop": KnotGain,
+}
+"""The schedules that posegsa searches, stores and exports, by kind. The fields of one other than a
+controller or knots are single numbers; `formula` is what it computes from them."""
 
 
 def check_gain(name: str, gain: ArrayLike) -> None:

@@ -82,6 +82,12 @@ def norm(a: Vec3) -> Array:
     return safe_sqrt(dot(a, a))
 
 
+def unit(a: Vec3) -> Vec3:
+    """The vector a / |a|; 0, with finite derivatives, if a is 0, as that of a missing vector is."""
+    square = dot(a, a)
+    return scale(choose(square > 0, jax.lax.rsqrt(choose(square > 0, square, 1.0)), 0.0), a)
+
+
 # --- component form: rotations and motions ---
 
 

@@ -15,15 +15,27 @@ with c_i the estimated bias; without normalisation there are no divisions.
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
+from posegsa.arguments import refuse
 from posegsa.model.elementwise import choose, minimum
 from posegsa.model.measurements import Measurements
-from posegsa.model.se3 import Matrix3, Vec3, add, cross, dot, safe_sqrt, scale, subtract, unstack
+from posegsa.model.se3 import (
+    Matrix3,
+    Vec3,
+    add,
+    cross,
+    dot,
+    safe_sqrt,
+    scale,
+    subtract,
+    unit,
+    unstack,
+)
 
 
 @jax.tree_util.register_dataclass
@@ -54,6 +66,14 @@ class Wahba(NamedTuple):
     """1/2 sum_i s_i |u_i| |v_i|, the vectors' part of the curvature bound L."""
     scale: Array
     """3 / (8 sum_i s_i), 0 where no vector is seen."""
+
+    @property
+    def each(self) -> NoReturn:
+        """Refused: sums have no single vectors."""
+        refuse(
+            "sample.vectors.each: of Wahba's sums",
+            "in a filter whose `prepare` has VectorSettings(each_agent=True)",
+        )
 
 
 class VectorSample(NamedTuple):
@@ -148,7 +168,7 @@ def corrected(
         references.append(vectors.cross_reference)
         weights.append(settings.cross_weight * minimum(each[0].factor, each[1].factor))
     if settings.normalise:
-        made = [_unit(u) for u in made]
+        made = [unit(u) for u in made]
     columns = [
         _sum(*(scale(s * v[j], u) for s, u, v in zip(weights, made, references, strict=True)))
         for j in range(3)
@@ -187,12 +207,6 @@ def with_cross_vector(vectors: Array) -> Array:
 def inverse_or_zero(a: Array) -> Array:
     """1/a, and 0 where a is 0."""
     return jnp.where(a > 0, 1 / jnp.where(a > 0, a, 1.0), 0.0)
-
-
-def _unit(a: Vec3) -> Vec3:
-    """The vector a / |a| by components; 0 if a is 0."""
-    square = dot(a, a)
-    return scale(choose(square > 0, jax.lax.rsqrt(choose(square > 0, square, 1.0)), 0.0), a)
 
 
 def _sum(first: Vec3, *others: Vec3) -> Vec3:

@@ -108,7 +108,7 @@ def minimise(
             refuse(f"minimise: keys of shape {key.shape} on the host", "one key")
         box = jax.tree.map(lambda bound: jnp.broadcast_to(bound, (len(key), *bound.shape)), box)
         begin = jax.vmap(begin)
-    run = made_of_jax()(
+    run = made_of_jax("objective", "the values of its positions")(
         runner(optimiser, objective, box, until=until, python_objective=python_objective)
     )
 

@@ -28,6 +28,7 @@ from posegsa.recordings.checked_files import as_path, naming
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
 from posegsa.recordings.policies import LONGEST_GAP, Policy
+from posegsa.recordings.readers import IN_WORDS, READERS
 from posegsa.recordings.rosbag import Stamps, Topics, is_bag, of_unit_length, read_rosbag
 from posegsa.recordings.rotations import about, matrices
 from posegsa.recordings.seen import check_something_is_seen
@@ -511,18 +512,14 @@ class Recording:
             MeasurementError: as in `from_arrays`; names the file.
         """
         path = as_path(path)
-        readers = {".csv": cls.from_csv, ".npz": cls.from_npz, ".mat": cls.from_broad}
-        reader: Callable[..., Recording] | None = readers.get(path.suffix.lower())
-        if is_bag(path):
-            reader = cls.from_rosbag
-        elif path.is_dir():
-            reader = cls.from_euroc
+        reader = READERS.get(path.suffix.lower())
+        if path.is_dir():
+            reader = "from_rosbag" if is_bag(path) else "from_euroc"
         if reader is None:
-            kinds = f"{', '.join(readers)}, a bag of ROS or the folder of a EuRoC sequence"
             what = "is not a recording" if path.exists() else "there is no such file or folder"
-            raise RecordingError(f"{path}: {what}; allowed: {kinds}")
+            raise RecordingError(f"{path}: {what}; allowed: {IN_WORDS}")
         with naming(path):
-            return reader(path, **more)
+            return getattr(cls, reader)(path, **more)
 
     def save(self, path: str | Path) -> None:
         """Write the recording to an .npz file for `from_npz`.

@@ -84,9 +84,9 @@ class _Wanted(NamedTuple):
         return FIELDS[self.quantity][kind]
 
 
-def is_bag(path: Path) -> bool:
-    """Whether a path is that of a bag, by its name, or as a folder by its metadata."""
-    return path.suffix in (".bag", ".mcap", ".db3") or (path / "metadata.yaml").is_file()
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a bag of ROS 2."""
+    return (folder / "metadata.yaml").is_file()
 
 
 def read_rosbag(

@@ -57,19 +57,23 @@ class Checkpoint(NamedTuple):
             if name not in self.arrays:
                 raise CheckpointError(f"{self.path}: has no {name}, which this optimiser needs")
             if name not in wanted:
-                raise CheckpointError(f"{self.path}: has {name}, which this optimiser has not")
+                raise CheckpointError(
+                    f"{self.path}: has {name}, which this optimiser does not have"
+                )
         found, offset = {}, 0
         for name, described in self.arrays.items():
             leaf, numbers = wanted[name], _numbers(wanted[name])
-            words = ("is", "is stored as", "has shape")
-            for what, has, needed in zip(words, described, _described(leaf), strict=True):
+            relations = ("is", "is stored as", "has shape")
+            for relation, has, needed in zip(relations, described, _described(leaf), strict=True):
                 if has != needed:
-                    raise CheckpointError(f"{self.path}: {name} {what} {has}; needed: {needed}")
-            stored, end = numbers.dtype.newbyteorder("<"), offset + numbers.nbytes
+                    raise CheckpointError(f"{self.path}: {name} {relation} {has}; needed: {needed}")
+            stored = numbers.dtype.newbyteorder("<")
+            end = offset + numbers.nbytes
             if end > len(self.numbers):
                 raise CheckpointError(f"{self.path}: has no bytes for {name}")
             values = np.frombuffer(self.numbers[offset:end], stored).reshape(numbers.shape)
-            array, offset = jnp.asarray(values.astype(numbers.dtype, copy=False)), end
+            array = jnp.asarray(values.astype(numbers.dtype, copy=False))
+            offset = end
             if _is_key(leaf):
                 array = jax.random.wrap_key_data(array, impl=jax.random.key_impl(leaf))
             found[name] = array

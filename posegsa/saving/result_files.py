@@ -13,7 +13,7 @@ from posegsa.figures import result_figures
 from posegsa.figures.figure_choice import chosen_figures
 from posegsa.figures.result_figures import draw
 from posegsa.figures.style import png
-from posegsa.judging.baselines import experiments_beside
+from posegsa.judging.baselines import baselines
 from posegsa.judging.evaluation import REPLAYED, Contender, own_name
 from posegsa.judging.result import Result
 from posegsa.report import report_html
@@ -183,7 +183,7 @@ def _keys_beside(
     result: Result, contenders: Mapping[str, Contender]
 ) -> Iterator[tuple[str, list[str], list[str]]]:
     """Keys of the numbers of the filters compared with the result's own: name, found, needed."""
-    for name, one in experiments_beside(result.experiment, result.filter).items():
+    for name, (one, _) in baselines(result.experiment, result.filter).items():
         if name in contenders and (also := sorted(contenders[name].filter.also)):
             # Replayed gains are run with the numbers tuned along with the filter's own schedule.
             keys = result.also if name == REPLAYED else [each.key for each in one.also]

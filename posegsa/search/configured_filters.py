@@ -52,6 +52,7 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
         law=section.law,
         gamma_law=section.gamma_law,
         substeps=section.substeps,
+        landmark_unit=section.landmark_unit,
         gamma_angular=number(angular),
         gamma_linear=number(linear),
         gain_limit=number(math.inf if section.gain_limit == "off" else section.gain_limit),

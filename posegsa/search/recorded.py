@@ -35,21 +35,21 @@ from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.drawn_scenarios import all_scenarios
 from posegsa.search.population import ScenarioBatch
 from posegsa.search.problem import TuningProblem
+from posegsa.search.schedule_spaces import LOWEST_GAIN
 from posegsa.search.search_spaces import own_space, search_space
 from posegsa.words import counted
 
 DEGREES_PER_METRE = 100.0
 """Default weight of the position RMSE relative to the attitude RMSE: 1 cm counts as 1 deg."""
-LOWEST_GAIN = 1e-3
-"""Lowest constant or smooth gain that is searched on recordings, whose rates vary [1/s]."""
-FEW = 10
-"""Iterations of the search if only three numbers are searched."""
+ITERATIONS = 10
+"""Iterations of the default search, which has only three numbers to find."""
 MORE_NOISE, LINEAR_WALKS = 10.0, (1e-5, 1.0)
 """Upper bound of a velocity's noise as a multiple of the found one; bounds of walks
 [m/s/sqrt(s)]."""
-LEAST_GAIN = 0.05
-"""Share by which the search must lower the cost. On flights with white noise it gains up to 3 %
-where it was searched and loses up to 20 % on others; where a model is wrong it gains 7 to 23 %."""
+LEAST_IMPROVEMENT = 0.05
+"""Share by which the search must lower the cost. On flights with white noise it lowers the cost by
+up to 3 % on the flights that it is given, and raises it by up to 20 % on others; where the filter's
+model is wrong it lowers both, by 7 to 23 %."""
 _EYE = np.eye(3)
 
 
@@ -76,13 +76,15 @@ def recorded_problem(
         ConfigError: The experiment's signal is "pose", or it tunes a number that has no effect
             here, or its scenarios are used too and have other sensors.
         MemoryLimitError: It would need more memory than is free.
-        RecordingError: A recording has no judged sample.
+        RecordingError: A recording has no judged sample, or starts are off the truth where it is
+            not known.
     """
     if experiment.gain.signal == "pose":
         raise ConfigError(
             'gain.signal = "pose" looks at the true pose; allowed on recordings: "measured"'
         )
-    experiment = tuned_on_recordings(experiment, recordings, strict=strict)
+    experiment = with_effect_on_recordings(experiment, recordings, strict=strict)
+    recordings = with_starts_off(recordings, experiment.objective.starts_off)
     memory.check([experiment], recorded=_size(recordings))
     problem = TuningProblem(
         experiment=experiment,
@@ -100,6 +102,28 @@ def recorded_problem(
     return problem._replace(scenarios=every, beside=beside)
 
 
+def with_starts_off(
+    recordings: Sequence[Recording], starts: Sequence[tuple[float, float]]
+) -> list[Recording]:
+    """Recordings with their own starts, then with starts off the truth by so many [deg, m].
+
+    A filter that is tuned from good starts alone learns nothing of others: its gain at a large
+    error is as good as random, and from there it may be lost.
+
+    Raises:
+        RecordingError: The truth of a recording is not known at its first sample.
+    """
+    each = [(one, start) for one in recordings for start in starts]
+    try:
+        off = [one.off(*start, seed=seed) for seed, (one, start) in enumerate(each)]
+    except RecordingError as error:
+        raise RecordingError(
+            f"{error}, which objective.starts_off needs; allowed: a recording from where it is "
+            "known on (a window), or starts_off = []"
+        ) from None
+    return [*recordings, *off]
+
+
 def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
     """What is tuned on recordings where no configuration is given.
 
@@ -115,7 +139,7 @@ def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
         f"filter.{key}": value if isinstance(value, tuple) else float(f"{value:.3g}")
         for key, value in noises.items()
     }
-    kalman = config.load("kalman").replace(**stated, **{"search.iterations": FEW})
+    kalman = config.load("kalman").replace(**stated, **{"search.iterations": ITERATIONS})
     boxes = {}
     for key in ("angular_velocity", "velocity"):
         found = config.number_at(kalman, f"filter.{key}")
@@ -125,16 +149,16 @@ def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
         {"key": f"filter.{key}", "lower": low, "upper": high, "scale": "logarithmic"}
         for key, (low, high) in boxes.items()
     ]
-    return kalman.replace(**{"parameters.also": also, "objective.least_gain": LEAST_GAIN})
+    return kalman.replace(**{"parameters.also": also, "objective.least_gain": LEAST_IMPROVEMENT})
 
 
-def tuned_on_recordings(
+def with_effect_on_recordings(
     experiment: config.Experiment,
     recordings: Sequence[Recording],
     *,
     strict: bool = True,
 ) -> config.Experiment:
-    """`with_effect_on`, with the sensors of the recordings."""
+    """An experiment that tunes only what has an effect on these recordings (`with_effect_on`)."""
     return with_effect_on(experiment, *_most_sensors(recordings), strict=strict)
 
 
@@ -215,11 +239,16 @@ def with_effect_on(
 def _come_with_posegsa() -> tuple[AlsoTuned, ...]:
     """The numbers that are tuned by default, and by the configurations that come with posegsa."""
     configured = (config.load(name).parameters.also or () for name in shipped.names())
-    return (*config.DEFAULT_ALSO, *config.KALMAN_ALSO, *chain(*configured))
+    return tuple(chain(*(kind.also for kind in config.FILTERS.values()), *configured))
 
 
 _OF_POSITION = (
-    *("length", "length_growth", "velocity", "linear_walk", "landmark", "initial_position"),
+    "length",
+    "length_growth",
+    "velocity",
+    "linear_walk",
+    "landmark",
+    "initial_position",
     "linear_lead",
 )
 """Numbers of [filter] that have an effect only where landmarks are seen."""
@@ -265,7 +294,7 @@ def recorded_batch(
     )
     starts: list[FilterState] = [state_of(one.initial()) for one in recordings]
     initial = jax.tree.map(lambda *leaves: jnp.stack(leaves).astype(dtype), *starts)
-    count, nothing = len(recordings), jnp.zeros((), dtype)
+    count, zero = len(recordings), jnp.zeros((), dtype)
     return ScenarioBatch(
         samples=samples,
         initial=initial,
@@ -273,7 +302,7 @@ def recorded_batch(
         vector_bias=jnp.zeros((count, most[0], 3), dtype),
         begin=None,
         end=None,
-        weights=CostWeights(nothing, nothing, nothing > 0, nothing),
+        weights=CostWeights(transient=zero, steady=zero, window=zero > 0, position=zero),
         filter=filter,
         recorded=together["cost"],
     )

@@ -23,12 +23,11 @@ from posegsa.model.schedules import (
 )
 from posegsa.search.candidates import ScheduleSpace, SimpleSpace
 
-SIMPLE = ("constant", "smooth")
-"""Kinds of schedules that an experiment can have instead of a controller."""
 GAINS = (0.5, 200.0)
 """Range of a baseline's gain [1/s]; it is extended to the controller's maximum."""
-LEAST_GAIN = 1e-3
-"""Lowest gain of a baseline [1/s] if the controller's range starts at 0."""
+LOWEST_GAIN = 1e-3
+"""Lowest gain that is searched [1/s]: of a baseline if the controller's range starts at 0, and on
+recordings, whose sensors' rates vary."""
 KNOTS = 16
 """Number of knots of the open-loop gains."""
 
@@ -79,12 +78,12 @@ def schedule_space(
     Gains are searched by their logarithm, over GAINS and the controller's range.
 
     Args:
-        kind: "constant", "smooth", "switch" or "open loop".
+        kind: One of `posegsa.model.schedules.SCHEDULES`, but "fuzzy".
         experiment: Its controller's range and its duration are used.
         lowest: Lowest gain [1/s], if it is not to be the default.
     """
     offset, (low, high) = experiment.fuzzy.offset, experiment.parameters.gain_range
-    least = lowest or min(GAINS[0], max(offset + low, LEAST_GAIN))
+    least = lowest or min(GAINS[0], max(offset + low, LOWEST_GAIN))
     return _space(kind, experiment, (math.log(least), math.log(max(GAINS[1], offset + high))))
 
 

@@ -12,7 +12,7 @@ from posegsa.model.fuzzy import Rules
 from posegsa.search.candidates import ScheduleSpace, SearchSpace, without_schedule
 from posegsa.search.host_arrays import host_array
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
-from posegsa.search.schedule_spaces import SIMPLE, NoiseSpaces, noise_space, schedule_space
+from posegsa.search.schedule_spaces import NoiseSpaces, noise_space, schedule_space
 
 
 def rule_indices(table: tuple[tuple[str, ...], ...]) -> Rules:
@@ -73,9 +73,9 @@ def own_space(experiment: config.Experiment, lowest: float | None = None) -> Sch
         )
     if not isinstance(section, config.ObserverConfig):
         return without_schedule(experiment.run.dtype)
-    if section.schedule in SIMPLE:
-        return schedule_space(section.schedule, experiment, lowest)
-    return parameter_space(experiment)
+    if section.schedule == "fuzzy":
+        return parameter_space(experiment)
+    return schedule_space(section.schedule, experiment, lowest)
 
 
 def role_space(kind: str, experiment: config.Experiment) -> ScheduleSpace:

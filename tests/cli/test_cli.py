@@ -94,7 +94,7 @@ def test_it_shows_progress_and_notes_in_plain_words(finished):
     for step in ("preparing", "compiling", "searching 4/4", "judging", "drawing"):
         assert f"\n{step}: done after" in done.err
     assert "best cost" in done.err
-    assert "initial_rotation" not in done.err, "the default experiment needs no note"
+    assert "initial_rotation" not in done.err, "only one that is not quite a rotation gets a note"
     assert "Traceback" not in done.err
     assert "Warning" not in done.err
 
@@ -300,7 +300,7 @@ def test_a_configuration_or_a_run_knows_the_sensors_of_a_recording(tmp_path, mon
         ("mine:", "--filter mine:; allowed: MODULE:CLASS"),
         ("posegsa_has_none_such:Mine", "No module named 'posegsa_has_none_such'"),
         ("mine_of_a_test:Yours", "has no attribute 'Yours'"),
-        ("mine_of_a_test:Mine", "filter"),
+        ("mine_of_a_test:Mine", "filter, with filter.kind = 'observer'"),
     ],
 )
 def test_a_filter_of_the_users_own_is_named_by_module_and_class(

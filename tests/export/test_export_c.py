@@ -239,6 +239,7 @@ def unknown() -> Case:
             learnt=vector_bias(follows="linear"),
             length=1.5,
             length_growth=0.2,
+            landmark_unit="length",
             bias_wait=0.4,
         ),
         signal=signal(smoothing=0.4, unknown=unknown),

@@ -384,10 +384,10 @@ def starting_with(extra: Any) -> Any:
         ({"step": step_with("switch")}, "on integers"),
         ({"step": step_with("while")}, "'while'"),
         ({"step": step_with("counter")}, "'scan' on integers|arrays"),
-        ({"step": another_state}, "a state of another structure"),
+        ({"step": another_state}, r"state.half\[0\] is in the state before it"),
         ({"start": starting_with(jnp.asarray(0))}, "its state's counted is of type int"),
         ({"start": starting_with(jnp.zeros(3))}, r"counted is an array of shape \(3,\)"),
-        ({"estimate": lambda self, state: state}, "its estimate is a Remembered"),
+        ({"estimate": lambda self, state: state}, "estimate: returns a Remembered"),
         ({"prepare": lambda self, m: m}, "returns a Measurements"),
         (
             {"prepare": lambda self, m: prepare(m, VectorSettings())},

@@ -13,7 +13,7 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from posegsa.figures import evaluation_figures as plots
-from posegsa.figures import schedule_figures
+from posegsa.figures import schedule_figures, style
 from posegsa.figures.style import START
 from posegsa.judging.evaluation import (
     CONSTANT,
@@ -187,6 +187,12 @@ def test_a_contender_looks_the_same_in_all_figures():
     rows = [list(SPREAD.contenders).index(name) for name in CURVES]
     for of_cost, of_bands in zip((points[i] for i in rows), bands, strict=True):
         assert to_rgba(of_cost.get_facecolor()[0][:3]) == to_rgba(of_bands.get_color())
+
+
+def test_any_number_of_curves_can_be_told_apart():
+    looks = {str(style.curve(i)) for i in range(2 * len(style.CURVES))}
+    assert len(looks) == 2 * len(style.CURVES)
+    assert [style.curve(i) for i in range(len(style.CURVES))] == list(style.CURVES)
 
 
 def test_rules_show_each_weight_and_name_what_never_fires():

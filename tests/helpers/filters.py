@@ -17,6 +17,7 @@ from posegsa.filters.observer import (
     FilterSettings,
     GainLaw,
     Innovation,
+    LandmarkUnit,
     Law,
     Observer,
     VectorBias,
@@ -87,6 +88,7 @@ def settings(
     learnt: VectorBias | None = None,
     length: float | None = None,
     length_growth: float | None = None,
+    landmark_unit: LandmarkUnit = "metre",
     bias_wait: float | None = None,
     bias_bounds: tuple[float, float] | None = None,
 ) -> FilterSettings:
@@ -106,6 +108,7 @@ def settings(
         vector_bias=learnt,
         length=None if length is None else jnp.asarray(length, dtype),
         length_growth=None if length_growth is None else jnp.asarray(length_growth, dtype),
+        landmark_unit=landmark_unit,
         per_bias_wait=None if bias_wait is None else jnp.asarray(bias_wait**-2, dtype),
         per_angular_bias_bound=bias_bounds and jnp.asarray(bias_bounds[0] ** -2, dtype),
         per_linear_bias_bound=bias_bounds and jnp.asarray(bias_bounds[1] ** -2, dtype),

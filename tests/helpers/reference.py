@@ -245,6 +245,7 @@ def filter_step(
     gain_limit: float | None = None,
     length: float = 1.0,
     length_growth: float = 0.0,
+    landmark_unit: Literal["metre", "length"] = "metre",
     share: float = 1.0,
     bias_bounds: tuple[float, float] | None = None,
     gains_used: list[float] | None = None,
@@ -253,19 +254,20 @@ def filter_step(
 
     gamma is the bias gain of (omega, v), with the laws "linear" and "quadratic" times K_used / 10
     and its square; there gamma dt is at most K_used / 2 of v, and K_used / 2 / (1 + |y|^2) of
-    omega, y the farthest landmark.  Lengths are in units of l, with l^2 = length^2 + length_growth
-    |y|^2: the linear part of U in W, and the bias law of v, are multiplied by l^2, each 1 that is
-    added to a squared length in L is l^2, and |y|^2 is divided by it.  share multiplies both gammas
-    last.  gain_limit is c of K_used = min(K, c / (dt/n L)).  bias_bounds are the largest lengths of
-    the biases of omega and v.  Each of the n inner steps evaluates everything at its own start,
-    with the same measurement; the velocity (Y_m - b_est) dt enters only with the last one.  The
-    sample's vectors are those that are used.
+    omega, y the farthest landmark. Lengths are in units of l, with l^2 = length^2 + length_growth
+    |y|^2; the weights of landmarks are per m^2 or per l^2: the linear part of U in W, and the bias
+    law of v, are multiplied by l^2, each 1 that is added to a squared length in L is l^2, and |y|^2
+    is divided by it. share multiplies both gammas last. gain_limit is c of K_used = min(K, c /
+    (dt/n L)). bias_bounds are the largest lengths of the biases of omega and v. Each of the n inner
+    steps evaluates everything at its own start, with the same measurement; the velocity (Y_m -
+    b_est) dt enters only with the last one. The sample's vectors are those that are used.
     """
     s, h = sample, sample.dt / substeps
-    measured = (s.y, s.p, s.sL, s.vB, s.vI, s.sR)
     squares = [float(y @ y) for y, w in zip(s.y, s.sL, strict=True) if w > 0]
     farthest = max(squares, default=0.0)
     l2 = length**2 + length_growth * farthest
+    sL = s.sL / l2 if landmark_unit == "length" else s.sL
+    measured = (s.y, s.p, sL, s.vB, s.vI, s.sR)
     metric = np.diag([1.0, 1.0, 1.0, l2, l2, l2])
     for inner in range(substeps):
         U = innovation(T_est, *measured)

@@ -7,7 +7,7 @@ import numpy as np
 from helpers.experiments import BASE
 from posegsa import config
 from posegsa.config import KALMAN_ALSO
-from posegsa.judging.description import Description, Kind
+from posegsa.judging.description import Description
 from posegsa.judging.endurance import Endurance
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
@@ -37,7 +37,7 @@ ANGLES = np.linspace(0, 180, 40)
 TIME = np.linspace(0, 15, 61)
 
 
-def description(kind: Kind, evaluations: int = 960, **numbers) -> Description:
+def description(kind: str, evaluations: int = 960, **numbers) -> Description:
     """A filter described by its numbers, each a scalar or a list."""
     listed = {name: np.ravel(np.float64(value)).tolist() for name, value in numbers.items()}
     return Description(kind, listed, {}, evaluations)

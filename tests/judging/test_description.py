@@ -19,7 +19,7 @@ from posegsa.filters.attitude import AttitudeFilter
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
 from posegsa.judging.description import (
-    SCHEDULES,
+    KINDS,
     TITLES,
     Description,
     StoredFilter,
@@ -30,7 +30,14 @@ from posegsa.judging.description import (
     rules_text,
     tuned_experiment,
 )
-from posegsa.model.schedules import ConstantGain, KnotGain, SmoothGain, SwitchGain
+from posegsa.model.schedules import (
+    SCHEDULES,
+    ConstantGain,
+    KnotGain,
+    RampGain,
+    SmoothGain,
+    SwitchGain,
+)
 from posegsa.saving.records import from_plain
 from posegsa.search.candidates import Candidate
 from posegsa.search.configured_filters import filter_of
@@ -73,6 +80,7 @@ CASES = {
     "switch": Case((ALSO,), SwitchGain(f(80), f(9), f(0.2), f(0.1))),
     "smooth": Case((ALSO,), SmoothGain(f(2), f(50), f(0.3))),
     "smooth, of its own experiment": Case(("filter.schedule=smooth", ALSO)),
+    "ramp": Case((ALSO,), RampGain(f(0.1), f(3))),
     "open loop": Case((ALSO,), KnotGain(f([0, 0.2, 0.4]), f([4, 3, 2]))),
     "kalman": Case(("filter.kind=kalman", NOISE)),
     "imu": Case(("filter.kind=imu", HEADING)),
@@ -93,7 +101,7 @@ def made(name: str) -> tuple[Experiment, Candidate, Any]:
 
 def test_every_kind_is_looked_at() -> None:
     kinds = {name.split(",")[0] for name in CASES}
-    assert kinds == {"fuzzy", *SCHEDULES, *TITLES}
+    assert kinds == {*SCHEDULES, *TITLES} == {*KINDS}
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -1,9 +1,13 @@
 """The text of a result on recordings."""
 
+import re
+
 import numpy as np
 import pytest
 
-from posegsa.judging.on_recordings import OnRecordings, RecordingScore, shares
+from posegsa.judging.on_recordings import OnRecordings, RecordingScore, losses
+from posegsa.judging.verdict import Loss
+from posegsa.judging.verdict import verdict as sentence
 from posegsa.recordings.accuracy import Blocks, Rmse
 
 
@@ -21,30 +25,52 @@ def verdict(own: tuple[float, float | None], **others: tuple[float, float | None
     return judged.verdict()
 
 
-def test_filters_that_err_less_are_named_the_best_first() -> None:
-    words = verdict((0.31, 0.0287), invariant_EKF=(0.12, 0.014), VQF=(0.2, None), other=(0.4, 0.05))
-    assert words.startswith("On what was held out the filter errs by 0.31 deg and 2.87 cm.")
-    assert "invariant EKF (39 % in attitude, 49 % in position); VQF (65 % in attitude)" in words
+def test_filters_that_err_less_are_named_the_largest_loss_first() -> None:
+    words = verdict((0.31, 0.0287), VQF=(0.2, None), invariant_EKF=(0.12, 0.014), other=(0.4, 0.05))
+    few = "(too few data for an interval)"
+    assert words.startswith(
+        f"Best on what was held out: invariant EKF, which errs 0.19 deg less {few} and 1.47 cm "
+        f"less {few} than this filter, 0.31 deg and 2.87 cm; then VQF, 0.11 deg less {few}, with"
+    )
     assert "other" not in words
+    assert ". " not in words, "one sentence"
 
 
 def test_one_that_is_better_in_position_alone_is_named_too() -> None:
-    assert "EKF (150 % in attitude, 50 % in position)" in verdict((0.2, 0.02), EKF=(0.3, 0.01))
+    words = verdict((0.2, 0.02), EKF=(0.3, 0.01))
+    assert re.search(r"EKF, which errs 0.1 deg more .* and 1 cm less", words)
+
+
+def test_one_that_is_better_for_sure_is_to_be_taken_and_how() -> None:
+    sure, chance = Loss(0.5, 0.2, 0.8, "deg"), Loss(0.5, -0.2, 1.2, "deg")
+    advice = {"EKF": "`posegsa tune kalman`"}
+    words = sentence("these", "1 deg", {"EKF": [sure]}, {}, advice)
+    assert "EKF, which errs 0.5 deg less (0.2 to 0.8, excludes 0) than this filter, 1 deg" in words
+    assert words.endswith("take it, `posegsa tune kalman`.")
+    words = sentence("these", "1 deg", {"EKF": [chance]}, {}, advice)
+    assert "(-0.2 to 1.2, includes 0)" in words
+    assert "may be chance" in words
+    assert "take it" not in words
 
 
 def test_where_none_is_better_it_says_so() -> None:
-    words = verdict((0.2, None), VQF=(0.199, None), Madgwick=(0.5, None))
-    assert (
-        "errs by 0.2 deg. No other filter (VQF, Madgwick) errs less, in attitude or in "
-        "position: take it, `posegsa export"
-    ) in words
+    words = verdict((0.2, None), Madgwick=(0.5, None), VQF=(0.199, None))
+    assert words.startswith(
+        "Best on what was held out: this filter, 0.2 deg; the next, VQF, beside Madgwick, errs "
+        "0.001 deg less (too few data"
+    )
+    assert "take it, `posegsa export" in words
+
+
+def test_a_filter_that_is_lost_loses() -> None:
+    assert verdict((90.0, np.inf), EKF=(0.3, 0.01)).startswith("Best on what was held out: EKF")
 
 
 def test_without_other_filters_there_is_no_verdict() -> None:
     assert verdict((0.2, 0.1)) == ""
 
 
-def test_intervals_of_shares_are_those_of_paired_blocks() -> None:
+def test_intervals_are_those_of_paired_blocks() -> None:
     rng = np.random.default_rng(0)
     hard = rng.uniform(0.5, 1.5, 12)  # parts of the recording, for both filters
 
@@ -53,12 +79,14 @@ def test_intervals_of_shares_are_those_of_paired_blocks() -> None:
         (one,) = scores(float(np.sqrt(np.mean(squares))), None)
         return [one._replace(blocks=Blocks(squares.tolist(), None))] * 2
 
-    (half,) = shares(filter(1.0, 0.0), filter(0.5, 0.0)).values()
-    assert half == pytest.approx((0.5, 0.5, 0.5)), (
-        "a recording that is hard for both makes no difference"
-    )
-    (alike,) = shares(filter(1.0, 0.5), filter(0.9, 0.5)).values()
-    assert alike.low < 1 < alike.high
-    assert "maybe by chance" in str(alike)
+    (half,) = losses(filter(1.0, 0.0), filter(0.5, 0.0))
+    mean = filter(1.0, 0.0)[0].errors["judged"].total
+    assert half.mean == pytest.approx(0.5 * mean)
+    spread = 0.5 * np.std(hard**2) / (2 * mean) / np.sqrt(12) / np.sqrt(2)
+    assert half.high - half.low == pytest.approx(2 * 1.96 * spread, rel=0.15)
+    assert half.sure
+    (alike,) = losses(filter(1.0, 0.5), filter(0.9, 0.5))
+    assert alike.low < 0 < alike.high
+    assert "includes 0" in str(alike)
     few = [one._replace(blocks=Blocks([1.0] * 3, None)) for one in filter(1.0, 0.0)]
-    assert np.isnan(shares(few, few)["attitude"].low)
+    assert np.isnan(losses(few, few)[0].low)

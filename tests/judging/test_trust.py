@@ -1,4 +1,4 @@
-"""Trust checks: a chaotic result is marked, a sound one is not, and rules are counted right."""
+"""Trust checks: a chaotic or lost result is marked, a sound one not, rules are counted right."""
 
 import dataclasses
 
@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 from helpers import reference
 from helpers.experiments import tiny
+from helpers.results import changed, evaluation, result, trajectory, trust
 
 import posegsa
+from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.judging.trust import rule_weights, uncovered
 from posegsa.model.fuzzy import FuzzyController
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+
+
+COSTS = ("cost_float32", "cost_float64", "cost_perturbed")
 
 
 @pytest.fixture(scope="module")
@@ -30,15 +35,17 @@ def test_with_the_gain_limit_a_result_is_not_sensitive(sound):
     assert not any("SENSITIVE" in w for w in sound.warnings())
 
 
-def test_without_it_the_chaos_is_marked():
+def test_without_it_a_filter_that_is_lost_is_marked():
     # With these weights every gain of the paper's boxes is far above the stable ones. The program
     # is the one of the sound result.
     settings = ["filter.gain_limit=off"]
     settings += [f"scenario.{one}.weight=30.0" for one in ("vectors.0", "vectors.1", "landmarks.0")]
-    result = posegsa.tune(tiny(*settings))
-    assert result.on_scenarios.trust.sensitive
-    assert any("SENSITIVE" in warning for warning in result.warnings())
-    assert "SENSITIVE" in result.summary()
+    wild = posegsa.tune(tiny(*settings))
+    assert wild.on_scenarios.trust.sensitive
+    assert not wild.on_scenarios.trust.chaotic, "no cost is finite"
+    words = "no finite cost on 3 of 3 training scenarios and 3 of 3 held-out scenarios"
+    assert words in " ".join(wild.summary().split())
+    assert "errs by" not in wild.summary()
 
 
 def test_the_uncovered_share_is_counted(sound):
@@ -73,14 +80,36 @@ def test_rule_weights_are_mean_firing_strengths(sound):
     )
 
 
+def test_an_estimate_that_is_not_finite_is_named_with_where_and_since_when() -> None:
+    lost = trajectory()
+    lost.attitude_error[125:] = np.nan
+    costs = {TUNED: np.array([np.inf, 41.5]), CONSTANT: np.array([44.0, 46.0])}
+    unseen = np.full(40, 30.0)
+    unseen[:8] = np.inf
+    given = result(
+        trust=trust(sensitive=True, **dict.fromkeys(COSTS, np.inf)),
+        training=costs,
+        evaluation=changed(evaluation(), TUNED, cost=unseen),
+        trajectory=lost,
+    )
+    first = given.warnings()[0]
+    assert "no finite cost on 1 of 2 training scenarios and 8 of 40 held-out scenarios" in first
+    assert "its estimate is not finite from 1.25 s on: do not trust this filter" in first
+    assert not any("SENSITIVE" in words for words in given.warnings())
+    some = dataclasses.replace(given.on_scenarios, trust=trust(sensitive=True, cost_float64=np.inf))
+    assert [words.partition(":")[0] for words in some.warnings()[:2]] == ["NOT FINITE", "SENSITIVE"]
+    assert "On one unseen scenario the estimate is not finite from 1.25 s on." in given.summary()
+    assert "NOT FINITE" not in " ".join(result().warnings())
+
+
 def test_warnings_name_what_went_wrong(sound):
     judged = sound.on_scenarios
-    trust = dataclasses.replace(judged.trust, uncovered=0.125)
-    result = dataclasses.replace(
+    gaps = dataclasses.replace(judged.trust, uncovered=0.125)
+    found = dataclasses.replace(
         sound,
-        on_scenarios=dataclasses.replace(judged, trust=trust),
+        on_scenarios=dataclasses.replace(judged, trust=gaps),
         search=dataclasses.replace(sound.search, non_finite=3),
     )
-    text = " ".join(result.warnings())
+    text = " ".join(found.warnings())
     assert "12.5 %" in text
     assert "3 agents" in text

@@ -27,7 +27,7 @@ from posegsa.optimisers import (
     tell,
 )
 
-SWARM, TARGET, KEY = (
+SWARM, BOX, KEY = (
     ParticleSwarm(agents=AGENTS, iterations=ITERATIONS),
     box([-1, -2, 0], [1, 3, 0]),
     jax.random.key(1),
@@ -36,7 +36,7 @@ SWARM, TARGET, KEY = (
 
 @pytest.fixture(scope="module")
 def whole() -> Search:
-    return minimise(steered, TARGET, SWARM, KEY)
+    return minimise(steered, BOX, SWARM, KEY)
 
 
 def first(condition: np.ndarray) -> int:
@@ -51,7 +51,7 @@ def test_a_target_stops_the_search_when_it_is_reached(whole: Search, chunk: int 
     seen: list[int] = []
     search = minimise(
         steered,
-        TARGET,
+        BOX,
         SWARM,
         KEY,
         target=target,
@@ -69,7 +69,7 @@ def test_a_target_stops_the_search_when_it_is_reached(whole: Search, chunk: int 
 def test_stagnation_stops_the_search(whole: Search) -> None:
     best = np.asarray(whole.history.best, np.float64)
     for patience, tolerance in ((3, 0.0), (5, 0.5)):
-        search = minimise(steered, TARGET, SWARM, KEY, patience=patience, tolerance=tolerance)
+        search = minimise(steered, BOX, SWARM, KEY, patience=patience, tolerance=tolerance)
         still = [
             i >= patience and best[i] >= best[i - patience] * (1 - tolerance) for i in range(40)
         ]
@@ -79,7 +79,7 @@ def test_stagnation_stops_the_search(whole: Search) -> None:
 
 def test_evaluations_stop_the_search(whole: Search) -> None:
     for evaluations, iterations in ((5, 0), (6, 1), (65, 10), (10**6, 40)):
-        search = minimise(steered, TARGET, SWARM, KEY, evaluations=evaluations)
+        search = minimise(steered, BOX, SWARM, KEY, evaluations=evaluations)
         assert search.iteration == iterations
         assert jnp.array_equal(search.history.best[:iterations], whole.history.best[:iterations])
 
@@ -88,7 +88,7 @@ def test_time_stops_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter(range(100))
     ticking = SimpleNamespace(monotonic=lambda: float(next(clock)))  # only for this module
     monkeypatch.setattr(sys.modules["posegsa.optimisers.minimisation"], "time", ticking)
-    search = minimise(steered, TARGET, SWARM, KEY, seconds=3.0, chunk=7)
+    search = minimise(steered, BOX, SWARM, KEY, seconds=3.0, chunk=7)
     assert search.iteration == 21, "one second per chunk"
 
 
@@ -97,7 +97,7 @@ def test_several_keys_give_what_each_gives_alone(whole: Search) -> None:
     seen: list[Any] = []
     many = minimise(  # with a target that is never reached, to use the program of the search below
         steered,
-        TARGET,
+        BOX,
         SWARM,
         keys,
         target=-1.0,
@@ -107,7 +107,7 @@ def test_several_keys_give_what_each_gives_alone(whole: Search) -> None:
     assert seen == [[20, 20], [40, 40]]
     assert_same(jax.tree.map(lambda a: a[0], many._replace(state=None)), whole._replace(state=None))
     assert many.best_cost[0] != many.best_cost[1]
-    until = minimise(steered, TARGET, SWARM, keys, target=float(whole.history.best[12]))
+    until = minimise(steered, BOX, SWARM, keys, target=float(whole.history.best[12]))
     assert (until.iteration < 40).any()
     assert (until.best_cost <= until.history.best[:, 0]).all()
 
@@ -115,8 +115,8 @@ def test_several_keys_give_what_each_gives_alone(whole: Search) -> None:
 def test_until_works_inside_ones_own_jit(whole: Search) -> None:
     @jax.jit
     def run(target: Array) -> Search:
-        started = start(SWARM, TARGET, KEY)
-        return advance(SWARM, steered, TARGET, started, 40, Until(target=target))
+        started = start(SWARM, BOX, KEY)
+        return advance(SWARM, steered, BOX, started, 40, Until(target=target))
 
     target = whole.history.best[12]
     assert run(target).iteration == first(np.asarray(whole.history.best) <= target)
@@ -129,7 +129,7 @@ def test_an_ordinary_function_is_minimised_on_the_host(whole: Search) -> None:
         kinds.add(type(x))
         return [float(row @ row) for row in x]
 
-    search = minimise(plain, TARGET, SWARM, KEY, python_objective=True, target=1e-3, chunk=10)
+    search = minimise(plain, BOX, SWARM, KEY, python_objective=True, target=1e-3, chunk=10)
     assert kinds == {np.ndarray}
     assert search.best_cost <= 1e-3
     done = int(search.iteration)
@@ -137,16 +137,16 @@ def test_an_ordinary_function_is_minimised_on_the_host(whole: Search) -> None:
 
 
 def test_ask_and_tell_are_the_parts_of_the_loop(whole: Search) -> None:
-    search, learn = start(SWARM, TARGET, KEY), jax.jit(tell, static_argnums=0)
+    search, learn = start(SWARM, BOX, KEY), jax.jit(tell, static_argnums=0)
     for _ in range(3):
-        positions = np.asarray(ask(SWARM, TARGET, search))
-        search = learn(SWARM, TARGET, search, np.sum(positions**2, axis=1))
+        positions = np.asarray(ask(SWARM, BOX, search))
+        search = learn(SWARM, BOX, search, np.sum(positions**2, axis=1))
     np.testing.assert_allclose(search.history.best[:3], whole.history.best[:3], rtol=1e-6)
 
 
 def test_a_gradient_on_the_host() -> None:
     adam = Adam(agents=2, iterations=20, learning_rate=0.1)
-    search = minimise(lambda x: (np.sum(x**2, 1), 2 * x), TARGET, adam, KEY, python_objective=True)
+    search = minimise(lambda x: (np.sum(x**2, 1), 2 * x), BOX, adam, KEY, python_objective=True)
     assert search.best_cost < 0.02
 
 
@@ -172,7 +172,7 @@ def test_a_gradient_on_the_host() -> None:
     ],
 )
 def test_bad_arguments_are_refused_by_name(change: dict[str, Any], message: str) -> None:
-    arguments = {"objective": steered, "box": TARGET, "optimiser": SWARM, "key": KEY} | change
+    arguments = {"objective": steered, "box": BOX, "optimiser": SWARM, "key": KEY} | change
     with pytest.raises(ValueError, match=f"minimise: {message}"):
         minimise(**arguments)
 
@@ -185,7 +185,7 @@ def test_a_polish_on_the_host_needs_gradients_once_it_descends() -> None:
     ):
         minimise(
             lambda x: np.sum(x**2, 1),
-            TARGET,
+            BOX,
             polish,
             KEY,
             python_objective=True,
@@ -199,4 +199,4 @@ def test_a_polish_on_the_host_needs_gradients_once_it_descends() -> None:
 def test_costs_of_another_form_are_refused(costs: Any) -> None:
     swarm = RandomSearch(agents=6, iterations=2)
     with pytest.raises(ValueError, match=r"objective: costs are .*; allowed: .*numbers \(6,\)"):
-        minimise(lambda x: costs, TARGET, swarm, KEY, python_objective=True)
+        minimise(lambda x: costs, BOX, swarm, KEY, python_objective=True)

@@ -22,7 +22,6 @@ from posegsa.judging.evaluation import RANDOM, TUNED
 from posegsa.judging.result import Result
 from posegsa.model.schedules import Gains, ScheduleInputs
 from posegsa.recordings.recording import Recording
-from posegsa.search.problem import TuningProblem
 
 
 @jax.tree_util.register_dataclass
@@ -149,8 +148,8 @@ def test_every_filter_is_tuned(name: str, data: str) -> None:
 
 @pytest.mark.parametrize(("name", "data"), CELLS)
 def test_every_filter_is_evaluated(name: str, data: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def one_of_them(problem: TuningProblem, found: Description) -> dict[str, Baseline]:
-        return {RANDOM: baselines(problem, found)[RANDOM]}  # each of the others takes a search
+    def one_of_them(experiment: config.Experiment, found: Description) -> dict[str, Baseline]:
+        return {RANDOM: baselines(experiment, found)[RANDOM]}  # each of the others takes a search
 
     monkeypatch.setattr(evaluating, "baselines", one_of_them)
     result = found(name)

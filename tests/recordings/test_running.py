@@ -23,7 +23,7 @@ from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.usefixtures("short_parts")
 
-GAIN = Observer(ConstantGain(jnp.float32(8.0)))
+OBSERVER = Observer(ConstantGain(jnp.float32(8.0)))
 
 
 @pytest.fixture(scope="module")
@@ -33,23 +33,23 @@ def recording() -> Recording:
 
 
 def test_it_follows_the_truth_and_learns_the_bias(recording: Recording) -> None:
-    estimates = posegsa.run_filter(GAIN, recording.off(60, 1))
+    estimates = posegsa.run_filter(OBSERVER, recording.off(degrees=60, metres=1))
     errors = posegsa.recording_errors(estimates, recording)
     assert errors.attitude.total[0] == pytest.approx(60, abs=1e-3)
     assert errors.attitude.total[-1] < 1
     assert errors.position is not None
     assert errors.position[-1] < 0.1
     assert isinstance(estimates.rotation, np.ndarray)
-    at_rest = posegsa.run_filter(GAIN, recording)
-    assert posegsa.recording_errors(at_rest, recording).rmse()["judged"].total < 0.5
+    from_its_start = posegsa.run_filter(OBSERVER, recording)
+    assert posegsa.recording_errors(from_its_start, recording).rmse()["judged"].total < 0.5
 
 
 def test_parts_make_the_estimates_of_one_piece(recording: Recording) -> None:
     """They are compared with those of the model for all measurements at once."""
-    parts = posegsa.run_filter(GAIN, recording)
+    parts = posegsa.run_filter(OBSERVER, recording)
     m = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), jnp.float32), recording.measurements)
     initial = running.state_of(recording.initial())
-    whole = rollout.run_filter(GAIN, Measurements(*m), initial)
+    whole = rollout.run_filter(OBSERVER, Measurements(*m), initial)
     for name, mine, theirs in zip(whole._fields, parts, whole, strict=True):
         if theirs is None:
             assert mine is None, name
@@ -87,7 +87,7 @@ def test_a_filter_of_the_users_own_sees_a_slow_sensor_as_its_stream_does() -> No
 def test_attitude_only_has_no_position() -> None:
     given = motion(velocity=None, landmarks=None, landmark_references=None)
     recording = Recording.from_arrays(**given)
-    estimates = posegsa.run_filter(GAIN, recording)
+    estimates = posegsa.run_filter(OBSERVER, recording)
     assert np.isnan(estimates.position).all()
     assert posegsa.recording_errors(estimates, recording).rmse()["judged"].total < 2
 
@@ -97,13 +97,13 @@ def test_float32_measurements_for_a_float64_filter_are_warned_of(recording: Reco
     fields = recording.measurements._asdict()
     rounded = Measurements.from_arrays(**fields, dtype=np.float32)
     exact = Measurements.from_arrays(**fields, dtype=np.float64)
-    gain = Observer(ConstantGain(jnp.float64(8.0)))
+    observer = Observer(ConstantGain(jnp.float64(8.0)))
     initial = running.state_of(recording.initial())
     with pytest.warns(PosegsaWarning, match="float32.* float64") as warned:
-        estimates = posegsa.run_filter(gain, rounded, initial)
+        estimates = posegsa.run_filter(observer, rounded, initial)
     assert warned[0].filename == __file__
     assert estimates.position.dtype == np.float64
-    error = np.abs(estimates.position - posegsa.run_filter(gain, exact, initial).position).max()
+    error = np.abs(estimates.position - posegsa.run_filter(observer, exact, initial).position).max()
     assert 0 < error < 1e-4
 
 
@@ -118,9 +118,9 @@ def test_float32_measurements_for_a_float64_result_are_warned_of(recording: Reco
 
 def test_what_does_not_fit_is_refused(recording: Recording) -> None:
     with pytest.raises(ArgumentError, match="initial: None"):
-        posegsa.run_filter(GAIN, Measurements(*recording.measurements))  # type: ignore[call-overload]  # wrong on purpose
+        posegsa.run_filter(OBSERVER, Measurements(*recording.measurements))  # type: ignore[call-overload]  # wrong on purpose
     with pytest.raises(ArgumentError, match='signal "pose"'):
-        posegsa.run_filter(replace(GAIN, signal=SignalSettings(signal="pose")), recording)
+        posegsa.run_filter(replace(OBSERVER, signal=SignalSettings(signal="pose")), recording)
     with pytest.raises(ArgumentError, match="noise: a float; allowed: a KalmanNoise"):
         posegsa.run_filter(posegsa.KalmanFilter(0.1), recording)  # type: ignore[arg-type]  # wrong on purpose
     with pytest.raises(ArgumentError, match="filter: a str"):
@@ -132,6 +132,6 @@ def test_measurements_in_double_precision_run_in_that_of_jax(
 ) -> None:
     assert np.asarray(recording.measurements.velocity).dtype == np.float64
     start = running.state_of(recording.initial())
-    found = posegsa.run_filter(GAIN, recording.measurements, start)
+    found = posegsa.run_filter(OBSERVER, recording.measurements, start)
     assert found.position.dtype == np.float32
     assert not [one for one in recwarn if "dtype" in str(one.message)]

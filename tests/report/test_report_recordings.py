@@ -54,8 +54,8 @@ def judged(**beside: RecordingScore) -> Result:
 def test_it_opens_with_the_verdict_in_degrees_and_centimetres():
     page = Page(report_html(judged(other=score("b.csv", 0.4, 0.05)), {}))
     text = page.text
-    assert "On what was held out the filter errs by 0.2 deg and 3 cm" in text
-    assert text.index("errs by") < text.index("other, held out") < text.index("Configuration")
+    assert "Best on what was held out: this filter, 0.2 deg and 3 cm" in text
+    assert text.index("Best on") < text.index("other, held out") < text.index("Configuration")
     assert "0.4 deg, 5 cm" in text
     assert "velocity: measured <wheels>" in text
 

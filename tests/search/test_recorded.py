@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa import config
-from posegsa.errors import ConfigError, MemoryLimitError
+from posegsa.errors import ConfigError, MemoryLimitError, RecordingError
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import simulate
 from posegsa.model.schedules import ConstantGain
@@ -21,7 +21,12 @@ from posegsa.search.candidates import Candidate
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.problem import tuning_problem
-from posegsa.search.recorded import recorded_batch, recorded_problem, with_effect_on
+from posegsa.search.recorded import (
+    recorded_batch,
+    recorded_problem,
+    with_effect_on,
+    with_starts_off,
+)
 from posegsa.search.run_search import on_all_devices
 
 BASE: dict[str, Any] = {
@@ -104,6 +109,34 @@ def kept(experiment: config.Experiment, vectors: int, landmarks: int, **strict: 
 
 
 @pytest.mark.quick
+def test_each_recording_is_tuned_from_starts_off_its_truth_too(recordings: list[Recording]) -> None:
+    starts = ((40.0, 1.0), (150.0, 5.0))
+    given = [recordings[0].off(3.0, 0.1), recordings[0].window(1)]
+    found = with_starts_off(given, starts)
+    assert found[: len(given)] == given
+    off = []
+    for one in found[len(given) :]:
+        truth, start = one.truth, one.initial()
+        assert truth is not None
+        assert truth.position is not None
+        turned = Rotation.from_matrix(start.rotation @ truth.rotation[0].T)
+        distance = np.linalg.norm(start.position - truth.position[0])
+        off.append((np.degrees(turned.magnitude()), distance))
+    np.testing.assert_allclose(off, starts * len(given))
+    truth = recordings[0].truth
+    assert truth is not None
+    rotation = truth.rotation.copy()
+    rotation[0] = np.nan
+    late = replace(recordings[0], truth=truth._replace(rotation=rotation))
+    assert with_starts_off([late], ()) == [late]
+    with pytest.raises(RecordingError, match=r"not known at the first .*starts_off = \[\]"):
+        with_starts_off([late], starts)
+    own = config.Experiment().replace(**{"objective.starts_off": starts})
+    batch = recorded_problem(own, recordings, 10.0, strict=False).training
+    assert batch.initial.place[0].shape == (3 * len(recordings),)
+
+
+@pytest.mark.quick
 def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
     constant, smooth = (
         config.override(config.Experiment(), [f"filter.schedule={kind}"])
@@ -120,7 +153,10 @@ def test_of_the_default_numbers_only_those_with_an_effect_are_tuned() -> None:
     # The numbers of the configurations that come with posegsa were not chosen by a user either.
     assert "filter.vector_walk" not in kept(config.load("recommended"), 0, 4)
     landmarks = config.override(config.load("landmarks"), ["filter.schedule=constant"])
-    assert kept(landmarks, 0, 3) == ["filter.length", "filter.gamma.0", "filter.gamma.1"]
+    assert kept(landmarks, 0, 3) == [
+        *("filter.length", "filter.length_growth", "filter.gamma.0", "filter.gamma.1"),
+        "filter.bias_wait",
+    ]
     own = ("scenario.landmarks.0.weight", "scenario.vectors.1.weight", "filter.gamma.1")
     for key in own:
         with pytest.raises(ConfigError, match=f"'{key}'.*1 vector and 0 landmarks"):

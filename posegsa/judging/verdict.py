@@ -1,0 +1,75 @@
+"""The sentence that ends a comparison: what is best, by how much, by chance or not, what to do."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+TAKE_IT = "take it, `posegsa export RUN --format c` or `posegsa replay RUN FILE`"
+"""What to do if no other filter is better."""
+
+
+class Loss(NamedTuple):
+    """By how much another filter is better than the judged one, with its 95 % interval.
+
+    The interval is NaN where there are too few data.
+    """
+
+    mean: float
+    low: float
+    high: float
+    unit: str
+
+    @property
+    def sure(self) -> bool:
+        """Whether the interval excludes 0."""
+        return self.low > 0 or self.high < 0
+
+    def __str__(self) -> str:
+        less = self.mean > 0
+        size = f"{abs(self.mean):.3g} {self.unit} {'less' if less else 'more'}"
+        ends = (self.low, self.high) if less else (-self.high, -self.low)
+        if not all(map(math.isfinite, ends)):
+            return f"{size} (too few data for an interval)"
+        zero = "excludes" if self.sure else "includes"
+        return f"{size} ({ends[0]:.3g} to {ends[1]:.3g}, {zero} 0)"
+
+
+def verdict(
+    where: str,
+    own: str,
+    better: Mapping[str, Sequence[Loss]],
+    others: Mapping[str, Sequence[Loss]],
+    advice: Mapping[str, str],
+) -> str:
+    """The sentence.
+
+    Args:
+        where: What the filters were judged on, such as "what was held out".
+        own: The errors of the judged filter, such as "0.2 deg and 3 cm".
+        better: The losses of the judged filter against each better one, the largest first.
+        others: The same of the rest, the nearest first; of both at least one.
+        advice: How to get a filter, by name.
+    """
+    if not better:
+        name, losses = next(iter(others.items()))
+        beside = f", beside {', '.join(list(others)[1:])}" if len(others) > 1 else ""
+        return (
+            f"Best on {where}: this filter, {own}; the next, {name}{beside}, errs "
+            f"{_listed(losses)}, with 95 % intervals: {TAKE_IT}."
+        )
+    (first, losses), *rest = better.items()
+    then = "".join(f"; then {name}, {_listed(each)}" for name, each in rest)
+    if any(loss.sure and loss.mean > 0 for loss in losses):
+        how = f", {advice[first]}" if first in advice else ""
+        todo = f"take the first{how}" if rest else f"take it{how}"
+    else:
+        todo = "that may be chance, so judge on more data (`posegsa evaluate`) before you change"
+    return (
+        f"Best on {where}: {first}, which errs {_listed(losses)} than this filter, {own}{then}, "
+        f"with 95 % intervals: {todo}."
+    )
+
+
+def _listed(losses: Sequence[Loss]) -> str:
+    *first, last = map(str, losses)
+    return f"{', '.join(first)} and {last}" if first else last
