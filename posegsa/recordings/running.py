@@ -13,6 +13,7 @@ from posegsa.arguments import check_type, fitting, refuse
 from posegsa.errors import ArgumentError
 from posegsa.filters import rollout
 from posegsa.filters.base import Filter, check_filter, samples_of, sensors_of
+from posegsa.filters.calls import started
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import Estimates, simulate_part
@@ -109,7 +110,7 @@ def state_of(start: Start) -> FilterState:
 
 def _run_in_parts(filter: Filter, recording: Recording, initial: FilterState) -> Estimates:
     count, measured = recording.samples, recording.measurements
-    state = filter.start(initial, sensors_of(measured))
+    state = started(filter, initial, sensors_of(measured))
     length = min(PART, count)
     whole: Any = None
     for first in range(0, count, length):
