@@ -24,7 +24,12 @@ from posegsa.filters.base import (
     sensors_of,
 )
 from posegsa.filters.covariance import matrix
-from posegsa.filters.uncertainty import PoseCovariance, nees, pose_covariance
+from posegsa.filters.uncertainty import (
+    PoseCovariance,
+    attitude_deviations,
+    nees,
+    pose_covariance,
+)
 from posegsa.model.cost import (
     CostParts,
     CostWeights,
@@ -69,6 +74,11 @@ class Estimates(NamedTuple):
     """(N, 6, 6) covariance of the pose error xi = [theta; rho] (rad, m), body frame, with T =
     T_est exp(xi^); None for a filter without one. R_est Sigma_rho R_est^T is the position's in the
     inertial frame."""
+    heading_deviation: Array | None = None
+    """(N,) standard deviation of the heading [rad], from a filter that states it without a
+    `covariance`."""
+    inclination_deviation: Array | None = None
+    """(N,) the same of the inclination."""
 
     def __repr__(self) -> str:
         return f"<Estimates of {counted(jnp.shape(self.time)[-1], 'sample')}>"
@@ -135,6 +145,8 @@ class View(NamedTuple):
     """The estimate before the sample."""
     covariance: PoseCovariance | None
     """The covariance of its pose; None for a filter without one."""
+    deviations: tuple[Array, Array] | None
+    """Standard deviations of heading and inclination [rad]; None for a filter without them."""
     record: Record
     """The record of the step."""
     now: Samples
@@ -179,7 +191,8 @@ def run(
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
         (state, total), (now, entry) = carry, inputs
         after, record = ready.step(state, now)
-        view = View(ready.estimate(state), pose_covariance(ready, state), record, now)
+        known = pose_covariance(ready, state), attitude_deviations(state)
+        view = View(ready.estimate(state), *known, record, now)
         total, stored = look(total, view, entry)
         return (after, total), stored
 
@@ -268,6 +281,7 @@ def _everything(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[(
 
 def _estimates(samples: Samples, stored: View) -> Estimates:
     states, covariance = stored.estimate, stored.covariance
+    heading, inclination = stored.deviations or (None, None)
     of_gain = {
         name: jnp.full_like(samples.time, jnp.nan) if values is None else values
         for name, values in stored.record._asdict().items()
@@ -281,6 +295,8 @@ def _estimates(samples: Samples, stored: View) -> Estimates:
         vector_bias=states.vector_bias,
         nis=_nis(stored.record),
         covariance=None if covariance is None else matrix(covariance, 6),
+        heading_deviation=heading,
+        inclination_deviation=inclination,
         **of_gain,
     )
 
@@ -320,7 +336,7 @@ def simulate_errors_together(
 
 def _true_errors(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[()], Any]:
     """Store what `ErrorTrack` needs."""
-    estimate, covariance, record, now = view
+    estimate, covariance, _, record, now = view
     known = known_pose(now.truth)
     off = None if covariance is None else nees(estimate, covariance, known)
     return total, (*pose_errors(estimate, known), record, estimate.place, off)

@@ -101,6 +101,26 @@ def _stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) -
     return seconds - seconds[0]
 
 
+def stamp_after(stamp: int | float, seconds: float) -> int | float:
+    """A time stamp some time after another, both integers in ns or floats in s."""
+    return stamp + round(1e9 * seconds) if isinstance(stamp, int) else stamp + seconds
+
+
+def first_stamp(time: ArrayLike | None, origin: int | float = 0.0) -> int | float:
+    """The first of checked time stamps, in ns as an integer or in s as a float.
+
+    Args:
+        time: (K,) time stamps: integers in ns, floats in s; None if there are time steps.
+        origin: the stamp that these count from.
+    """
+    if time is None:
+        return origin
+    first = np.asarray(time)[0].item()
+    if isinstance(origin, float) and origin == 0:
+        return first
+    return stamp_after(origin, first / 1e9 if isinstance(first, int) else first)
+
+
 def bridged_samples(
     time: np.ndarray, velocities: np.ndarray, policy: Policy, longest: float
 ) -> Bridged:

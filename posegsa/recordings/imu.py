@@ -123,6 +123,7 @@ def as_imu(recording: Recording, *, frame: Frame | None = None) -> ImuRecording:
         _frame_of(recording) if frame is None else frame,
         name=recording.name,
         time_step=recording.measurements.time_step,
+        origin=recording.first_stamp,
         truth_rotation=None if truth is None else truth.rotation,
         judged=recording.judged,
         phases=recording.phases,

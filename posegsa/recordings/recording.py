@@ -4,7 +4,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -22,7 +22,14 @@ from posegsa.recordings.beside import (
     path_beside,
     read_beside,
 )
-from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
+from posegsa.recordings.bridging import (
+    Bridged,
+    bridged_samples,
+    first_stamp,
+    known_everywhere,
+    stamp_after,
+    stamps,
+)
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.checked_files import as_path, naming
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
@@ -102,6 +109,8 @@ class Recording:
     """(n,) factor on the weights of each vector: samples from one measurement to the next."""
     landmark_interval: np.ndarray = field(default_factory=lambda: np.ones(0))
     """(m,) the same for each landmark."""
+    first_stamp: int | float = 0.0
+    """The time stamp of the first sample: an integer in ns, or a float in s; 0.0 without stamps."""
 
     @classmethod
     def from_arrays(
@@ -110,6 +119,7 @@ class Recording:
         name: str = "recording",
         time: ArrayLike | None = None,
         time_step: ArrayLike | None = None,
+        origin: int | float = 0.0,
         angular_velocity: ArrayLike,
         velocity: ArrayLike | None = None,
         vectors: ArrayLike | None = None,
@@ -138,6 +148,7 @@ class Recording:
             name: its name in tables and files.
             time: (K,) time stamps: integers in ns, floats in s; or give `time_step`.
             time_step: scalar or (K,) time to the next sample [s].
+            origin: the time stamp that these count from, an integer in ns or a float in s.
             angular_velocity: (K, 3) gyroscope, body frame [rad/s].
             velocity: (K, 3) linear velocity, body frame [m/s]; None for attitude only, which has no
                 landmarks either.
@@ -239,6 +250,7 @@ class Recording:
                 )
                 for key, signal in (sensors or {}).items()
             },
+            first_stamp=first_stamp(time, _stamp("origin", origin)),
             **intervals,
         )
         if changes:
@@ -548,6 +560,7 @@ class Recording:
         arguments = {
             "name": self.name,
             "time_step": m["time_step"],
+            "origin": self.first_stamp,
             "angular_velocity": m["angular_velocity"],
             "velocity": None if self.attitude_only else m["velocity"],
             **seen,
@@ -566,6 +579,13 @@ class Recording:
     def samples(self) -> int:
         """Number of samples K."""
         return len(self.time)
+
+    @property
+    def stamps(self) -> np.ndarray:
+        """(K,) time stamps as they were given: integers in ns, or floats in s."""
+        if isinstance(self.first_stamp, int):
+            return self.first_stamp + np.rint(1e9 * self.time).astype(np.int64)
+        return self.first_stamp + self.time
 
     @property
     def time_step(self) -> float:
@@ -632,6 +652,7 @@ class Recording:
             self,
             name=f"{self.name}[{begin:g}:{last}]",
             time=self.time[part] - self.time[part.start],
+            first_stamp=stamp_after(self.first_stamp, float(self.time[part.start])),
             measurements=with_numpy_arrays(
                 {name: np.asarray(a)[part] for name, a in self.measurements._asdict().items()}
             ),
@@ -712,6 +733,13 @@ def _mask(name: str, mask: ArrayLike, samples: int) -> np.ndarray:
             f"{name}: must be a mask of the shape ({samples},), of bool or 0 and 1"
         )
     return array.astype(bool)
+
+
+def _stamp(name: str, stamp: Any) -> int | float:
+    """A checked time stamp from a user."""
+    if isinstance(stamp, Real) and not isinstance(stamp, bool) and math.isfinite(stamp):
+        return int(stamp) if isinstance(stamp, Integral) else float(stamp)
+    raise RecordingError(f"{name} = {stamp!r}; allowed: an integer in ns, or a float in s")
 
 
 def _start(start: Any) -> StartRule:
