@@ -213,9 +213,10 @@ def add_bridge(parser: argparse._ActionsContainer) -> None:
         "--bridge",
         choices=get_args(Policy),
         help="what to do about gaps, time stamps that go back and samples without velocities: "
-        "refuse the recording (default), hold the last velocities, or interpolate them",
+        "refuse the recording (default), keep gaps as they are (default of an inertial sensor), "
+        "fill them and hold the last velocities, or interpolate them",
     )
-    words = f"longest gap that is bridged [s] (default: {LONGEST_GAP:g})"
+    words = f"longest gap that is bridged [s] (default: {LONGEST_GAP:g}; with keep, any)"
     parser.add_argument("--longest-gap", type=float, metavar="S", help=words)
 
 
@@ -236,7 +237,7 @@ def read(
     from posegsa.recordings.recording import Recording
 
     if longest_gap is not None and bridge in (None, "refuse"):
-        raise ArgumentError("--longest-gap; allowed: with --bridge hold or interpolate")
+        raise ArgumentError("--longest-gap; allowed: with --bridge keep, hold or interpolate")
     stated = {"bridge": bridge, "longest_gap": longest_gap}
     more |= {name: value for name, value in stated.items() if value is not None}
     found = [Recording.read(path, **more) for path in paths]

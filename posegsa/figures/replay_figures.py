@@ -79,7 +79,8 @@ def plot_biases(replay: Replay) -> Figure | None:
     """
     recording, every = replay.recording, _every(replay)
     bias = np.asarray(replay.estimates.bias, np.float64)[every]
-    shown = {"Gyroscope bias [deg/s]": (np.degrees(bias[:, :3]), "xyz")}
+    shown: dict[str, tuple[np.ndarray, Sequence[str]]] = {}
+    shown["Gyroscope bias [deg/s]"] = np.degrees(bias[:, :3]), "xyz"
     if not recording.attitude_only:
         shown["Velocity bias [m/s]"] = bias[:, 3:], "xyz"
     shown = {label: each for label, each in shown.items() if np.nan_to_num(each[0]).any()}

@@ -26,6 +26,7 @@ from posegsa.recordings.bridging import (
     Bridged,
     bridged_samples,
     first_stamp,
+    gaps_in,
     known_everywhere,
     stamp_after,
     stamps,
@@ -34,13 +35,13 @@ from posegsa.recordings.broad import read_broad
 from posegsa.recordings.checked_files import as_path, naming
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
-from posegsa.recordings.policies import LONGEST_GAP, Policy
+from posegsa.recordings.policies import Policy
 from posegsa.recordings.rosbag import Stamps, Topics, is_bag, of_unit_length, read_rosbag
 from posegsa.recordings.rotations import about, matrices
 from posegsa.recordings.seen import check_something_is_seen
 from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
 from posegsa.recordings.streams import Between, Stream, on_one_clock
-from posegsa.recordings.table import SENSORS, Columns, read_csv
+from posegsa.recordings.table import ACCELEROMETER, SENSORS, Columns, read_csv
 from posegsa.recordings.tum import read_tum, with_tum
 
 LANDMARK_OUTLIER = 7.0
@@ -136,8 +137,8 @@ class Recording:
         judged: ArrayLike | None = None,
         phases: Mapping[str, ArrayLike] | None = None,
         start: StartRule | Sequence[ArrayLike] = "sensors",
-        bridge: Policy = "refuse",
-        longest_gap: float = LONGEST_GAP,
+        bridge: Policy | None = None,
+        longest_gap: float | None = None,
         sources: Mapping[str, str] | None = None,
         sensors: Mapping[str, ArrayLike] | None = None,
         notes: Sequence[str] = (),
@@ -173,9 +174,12 @@ class Recording:
                 used for start "rest"; without it, that is the first second.
             start: "rest", "sensors" or a pose: (rotation (3, 3), position (3,)), optionally with a
                 bias (6,).
-            bridge: "refuse", "hold" or "interpolate": what to do where time stamps do not increase,
-                velocities are NaN or there is a gap (`posegsa.recordings.bridging`).
-            longest_gap: maximum time [s] that is bridged.
+            bridge: "refuse", "keep", "hold" or "interpolate": what to do where time stamps do not
+                increase, velocities are NaN or there is a gap (`posegsa.recordings.bridging`). By
+                default all this is refused; but without a velocity and with an accelerometer in
+                `sensors` gaps are kept, and samples without velocities dropped.
+            longest_gap: maximum time [s] that is bridged, by default 1 s; of a gap that is kept, by
+                default an hour.
             sources: `Recording.sources`.
             sensors: `Recording.sensors`.
             notes: `Recording.notes`.
@@ -203,7 +207,11 @@ class Recording:
                 f"{name}: must not be infinite, got {velocities[k, column]} at {(k, column % 3)}"
             )
         found = bridged_samples(
-            stamps(time, time_step, samples), velocities, policy=bridge, longest=longest_gap
+            stamps(time, time_step, samples),
+            velocities,
+            policy=bridge,
+            longest=longest_gap,
+            inertial=attitude_only and ACCELEROMETER in (sensors or {}),
         )
         omega, linear = np.hsplit(known_everywhere(found, velocities, bridge), 2)
         if truth_rotation is not None and truth_quaternion is not None:
@@ -250,7 +258,7 @@ class Recording:
                 )
                 for key, signal in (sensors or {}).items()
             },
-            first_stamp=first_stamp(time, _stamp("origin", origin)),
+            first_stamp=stamp_after(first_stamp(time, _stamp("origin", origin)), found.begin),
             **intervals,
         )
         if changes:
@@ -270,8 +278,8 @@ class Recording:
         sensors: Mapping[str, Stream] | None = None,
         clock: str | ArrayLike = "angular_velocity",
         between: Mapping[str, Between] | None = None,
-        bridge: Policy = "refuse",
-        longest_gap: float = LONGEST_GAP,
+        bridge: Policy | None = None,
+        longest_gap: float | None = None,
         notes: Sequence[str] = (),
         **more: Any,
     ) -> "Recording":
@@ -315,7 +323,9 @@ class Recording:
         }
         named = {name: a for name, a in streams.items() if a is not None and len(a)}
         signals = dict(sensors or {})
-        how = {"bridge": bridge, "longest": longest_gap}
+        how: dict[str, Any] = {"bridge": bridge or "refuse"}
+        if longest_gap is not None:
+            how["longest"] = longest_gap
         found = on_one_clock(named | signals, clock=clock, between=between, **how)
         found["notes"] = (*notes, *found["notes"])
         found["sensors"] = {name: found.pop(name) for name in signals}
@@ -703,6 +713,8 @@ class Recording:
             f"{1 / self.time_step:.4g} Hz, {', '.join(counts)}, {mode}, {judged}, start: {start}"
         ]
         lines += [f"  {quantity}: {words}" for quantity, words in self.sources.items()]
+        if words := gaps_in(self.time)[1]:
+            lines.append(f"  gaps: {words}")
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
 
