@@ -109,7 +109,15 @@ HEADS = (
 
 
 def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]:
-    """A row for each phase of a recording; the position is empty if it is not judged."""
+    """A row for each phase of a recording; the position is empty if it is not judged.
+
+    A phase that is all that is judged has no row of its own.
+    """
+    each_phase = dict(phases)
+    judged = each_phase.pop("judged")
+    others = {phase: each for phase, each in each_phase.items() if each != judged}
+    same = [phase for phase in each_phase if phase not in others]
+    named = {f"judged: {same[0]}" if same else "judged": judged} | others
     return [
         [
             name if first == 0 else "",
@@ -118,7 +126,7 @@ def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]
             *(f"{a:.2f}" for a in (each.total, each.heading, each.inclination)),
             "" if each.position is None else f"{100 * each.position:.2f}",
         ]
-        for first, (phase, each) in enumerate(phases)
+        for first, (phase, each) in enumerate(named.items())
     ]
 
 
