@@ -32,7 +32,7 @@ def replay(
         result: A result tuned on scenarios or on recordings; or the name of a configuration, such
             as "imu", for the filter with the numbers in it.
         recordings: One recording, or several.
-        out: Folder for tables, trajectories (TUM) and figures.
+        out: Folder for tables, estimates (CSV; with a position also TUM) and figures.
         overwrite: Replace replays in that folder.
         figures: Names of the figures to draw there; by default all.
         left_out: Called with each recording that gives no initial pose, or that the filter can't

@@ -1,7 +1,8 @@
 /* One of the attitude filters that are compared, under common names. Which one: FILTER.
  *
- * begin(filter, dt); step(filter, gyr, acc, mag) with a sample in rad/s, m/s^2 and any unit;
- * attitude(filter, q) gives w, x, y, z from the body to east, north, up. */
+ * begin(filter, dt, acc, mag) with the first sample, from which the filters of Madgwick and of Mahony,
+ * without a start of their own, take the first attitude; step(filter, gyr, acc, mag) with a sample in
+ * rad/s, m/s^2 and any unit; attitude(filter, q) gives w, x, y, z from the body to east, north, up. */
 
 #ifndef ATTITUDE_FILTER_H
 #define ATTITUDE_FILTER_H
@@ -21,8 +22,9 @@ typedef struct {
     real dt;
 } filter_state;
 
-static int begin(filter_state *filter, real dt)
+static int begin(filter_state *filter, real dt, const real *acc, const real *mag)
 {
+    (void)acc, (void)mag;
     const real upright[4] = {1, 0, 0, 0};
     filter->dt = dt;
     return posegsa_init(&filter->state, upright);
@@ -62,8 +64,9 @@ static VQF *of(filter_state *filter)
     return reinterpret_cast<VQF *>(filter->memory);
 }
 
-static int begin(filter_state *filter, real dt)
+static int begin(filter_state *filter, real dt, const real *acc, const real *mag)
 {
+    (void)acc, (void)mag;
     new (filter->memory) VQF(dt);
     return 0;
 }

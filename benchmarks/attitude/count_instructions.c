@@ -25,7 +25,7 @@ static void count(void)
     real q[4];
     int pass, k;
     start_counting();
-    failed |= (unsigned)begin(&filter, time_step);
+    failed |= (unsigned)begin(&filter, time_step, samples[0] + 3, samples[0] + 6);
     for (pass = 0; pass < PASSES; ++pass) {
         ticks();
         for (k = 0; k < SAMPLES; ++k) {

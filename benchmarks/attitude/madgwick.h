@@ -10,9 +10,9 @@ typedef struct {
     real q[4], dt; /* body to north, west, up */
 } filter_state;
 
-static int begin(filter_state *filter, real dt)
+static int begin(filter_state *filter, real dt, const real *acc, const real *mag)
 {
-    to_identity(filter->q);
+    from_vectors(acc, mag, filter->q);
     filter->dt = dt;
     return 0;
 }

@@ -9,9 +9,9 @@ typedef struct {
     real q[4], bias[3], dt; /* body to north, west, up */
 } filter_state;
 
-static int begin(filter_state *filter, real dt)
+static int begin(filter_state *filter, real dt, const real *acc, const real *mag)
 {
-    to_identity(filter->q);
+    from_vectors(acc, mag, filter->q);
     filter->bias[0] = filter->bias[1] = filter->bias[2] = 0;
     filter->dt = dt;
     return 0;

@@ -22,10 +22,40 @@ static void to_unit(real *a, int n)
     }
 }
 
-static void to_identity(real *q)
+/* The attitude that an acceleration and a field show. */
+static void from_vectors(const real *acc, const real *mag, real *q)
 {
-    q[0] = 1;
-    q[1] = q[2] = q[3] = 0;
+    real R[3][3]; /* rows: north, west and up, in the body */
+    int i, best = 0;
+    for (i = 0; i < 3; ++i) {
+        R[2][i] = acc[i];
+    }
+    to_unit(R[2], 3);
+    for (i = 0; i < 3; ++i) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        R[1][i] = R[2][j] * mag[k] - R[2][k] * mag[j];
+    }
+    to_unit(R[1], 3);
+    for (i = 0; i < 3; ++i) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        R[0][i] = R[1][j] * R[2][k] - R[1][k] * R[2][j];
+    }
+    {
+        /* Each row is q times one of its components; the longest is the most accurate. */
+        const real by[4][4] = {
+            {1 + R[0][0] + R[1][1] + R[2][2], R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1]},
+            {R[2][1] - R[1][2], 1 + R[0][0] - R[1][1] - R[2][2], R[1][0] + R[0][1], R[0][2] + R[2][0]},
+            {R[0][2] - R[2][0], R[1][0] + R[0][1], 1 - R[0][0] + R[1][1] - R[2][2], R[2][1] + R[1][2]},
+            {R[1][0] - R[0][1], R[0][2] + R[2][0], R[2][1] + R[1][2], 1 - R[0][0] - R[1][1] + R[2][2]},
+        };
+        for (i = 1; i < 4; ++i) {
+            best = by[i][i] > by[best][best] ? i : best;
+        }
+        for (i = 0; i < 4; ++i) {
+            q[i] = by[best][i];
+        }
+    }
+    to_unit(q, 4);
 }
 
 /* q + dt times its derivative at the angular velocity omega [rad/s], and less `descent`, if there is

@@ -31,7 +31,7 @@ int main(int argc, char **argv)
         fread(samples, sizeof *samples, count, stdin) != count) {
         return 1;
     }
-    failed |= begin(&filter, dt);
+    failed |= begin(&filter, dt, samples[0] + 3, samples[0] + 6);
     for (k = 0; k < count; ++k) {
         failed |= step(&filter, samples[k], samples[k] + 3, samples[k] + 6);
         attitude(&filter, q);

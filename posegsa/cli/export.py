@@ -50,6 +50,8 @@ def run(options: argparse.Namespace) -> int:
         return 0
     _write_new(Path(options.out), text, overwrite=options.overwrite)
     print(f"Written: {options.out}")
+    if words := result.verdict():
+        print(f"\n{words}")
     return 0
 
 

@@ -96,7 +96,7 @@ def own_filter(options: argparse.Namespace) -> "OwnFilter | None":
 
 
 def add_run(parser: argparse.ArgumentParser, *also: str) -> None:
-    """RUN, --filter and --edited, for a command that reads a tuned filter.
+    """RUN, --filter, --edited and --set, for a command that reads a tuned filter.
 
     Args:
         parser: The command's parser.
@@ -110,6 +110,11 @@ def add_run(parser: argparse.ArgumentParser, *also: str) -> None:
     add_filter(parser)
     words = "read a result.json that was changed after posegsa wrote it"
     parser.add_argument("--edited", action="store_true", help=words)
+    words = (
+        "change a value of the configuration, e.g. filter.magnetometer_delay=0 of imu; may be "
+        "given several times"
+    )
+    parser.add_argument("--set", action="append", metavar="SECTION.KEY=VALUE", help=words)
 
 
 def result_of(options: argparse.Namespace, recording: "Recording | None" = None) -> "Result":
@@ -120,8 +125,11 @@ def result_of(options: argparse.Namespace, recording: "Recording | None" = None)
         recording: The filter knows the vectors and landmarks of this recording; None for its own.
 
     Raises:
-        ArgumentError: --edited is given for a configuration.
+        ArgumentError: --edited is given for a configuration, or --set for the folder of a run.
+        ConfigError: The configuration can't be read, or a value of --set is not allowed.
     """
+    from posegsa.config.toml_files import load as load_config
+    from posegsa.config.toml_files import override
     from posegsa.configuring import configured
     from posegsa.saving.result_files import load
 
@@ -129,7 +137,10 @@ def result_of(options: argparse.Namespace, recording: "Recording | None" = None)
         if options.edited:
             raise ArgumentError(f"--edited; allowed: with the folder of a run, not {options.run}")
         own = [] if recording is None else [recording]
-        return configured(options.run, filter=own_filter(options), recordings=own)
+        chosen = override(load_config(options.run), options.set or [])
+        return configured(chosen, filter=own_filter(options), recordings=own)
+    if options.set:
+        raise ArgumentError(f"--set; allowed: with a configuration, not {options.run}")
     result = load(options.run, filter=own_filter(options), edited=options.edited)
     return result if recording is None else result.with_sensors_of(recording)
 
@@ -208,9 +219,10 @@ def add_bridge(parser: argparse._ActionsContainer) -> None:
         "--bridge",
         choices=get_args(Policy),
         help="what to do about gaps, time stamps that go back and samples without velocities: "
-        "refuse the recording (default), hold the last velocities, or interpolate them",
+        "refuse the recording (default), keep gaps as they are (default of an inertial sensor), "
+        "fill them and hold the last velocities, or interpolate them",
     )
-    words = f"longest gap that is bridged [s] (default: {LONGEST_GAP:g})"
+    words = f"longest gap that is bridged [s] (default: {LONGEST_GAP:g}; with keep, any)"
     parser.add_argument("--longest-gap", type=float, metavar="S", help=words)
 
 
@@ -231,7 +243,7 @@ def read(
     from posegsa.recordings.recording import Recording
 
     if longest_gap is not None and bridge in (None, "refuse"):
-        raise ArgumentError("--longest-gap; allowed: with --bridge hold or interpolate")
+        raise ArgumentError("--longest-gap; allowed: with --bridge keep, hold or interpolate")
     stated = {"bridge": bridge, "longest_gap": longest_gap}
     more |= {name: value for name, value in stated.items() if value is not None}
     found = [Recording.read(path, **more) for path in paths]

@@ -25,8 +25,9 @@ def add(commands) -> None:
         help="run a tuned filter over recordings",
         description="Runs the filter of a finished run over recordings and, where they have a "
         "reference, shows root mean square errors by phase: total, heading, inclination and "
-        "position. Writes the table, trajectories (TUM) and figures to a folder. The exit status "
-        "is 2 if a recording can't be read or gives no start; the filter runs on the others.",
+        "position. With --out, writes the table, the estimates (estimates.csv; with a position "
+        "also TUM files) and figures to a folder. The exit status is 2 if a recording can't be "
+        "read or gives no start; the filter runs on the others.",
     )
     add_run(parser)
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
@@ -80,4 +81,6 @@ def run(options: argparse.Namespace) -> int:
     print(f"\n{replay_table(replays)}")
     if options.out is not None:
         print(f"\nWritten to {options.out}")
+    elif not any(one.errors for one in replays):
+        print("\nTo have the estimates as a file and as figures: --out DIR")
     return 2 if refused else 0

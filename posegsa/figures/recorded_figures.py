@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES: list[ResultFigure] = []
+LINE = 80
+"""Characters in a line of names below the figure."""
 
 
 @captioned(
@@ -23,7 +26,7 @@ FIGURES: list[ResultFigure] = []
     title="Errors over the recordings",
     caption="Root mean squares in blocks of about five seconds of what is judged; on what was held "
     "out, or, if nothing was, on what the filter was tuned on. Several recordings follow each "
-    "other, with a line between them.",
+    "other, with a line between them, and are numbered.",
 )
 def plot_recorded_errors(recorded: OnRecordings) -> Figure | None:
     """Attitude error [deg] and position error [cm] of each filter over judged time [s]."""
@@ -42,10 +45,15 @@ def plot_recorded_errors(recorded: OnRecordings) -> Figure | None:
             drawn.append(errors)
         known = np.concatenate(drawn)
         style.error_panel(ax, label, known[np.isfinite(known)])
-        for begin in np.cumsum([_seconds(one) for one in own])[:-1]:
+        begins = np.cumsum([0.0, *(_seconds(one) for one in own[:-1])])
+        for number, begin in enumerate(begins if len(own) > 1 else (), start=1):
             ax.axvline(begin, color="0.6", linewidth=0.8)
+            at = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+            ax.annotate(str(number), (begin, 1.0), (3, -2), va="top", color="0.4", **at)
     style.finish_time(axes, np.array([0.0, sum(_seconds(one) for one in own)]))
-    axes[-1].set_xlabel("Judged time [s]")
+    names = "; ".join(f"{number}\u00a0{one.name}" for number, one in enumerate(own, start=1))
+    names = f"\n{fill(names, LINE)}" if len(own) > 1 else ""
+    axes[-1].set_xlabel(f"Judged time [s]{names}")
     style.legend_above(figure, axes[0])
     return figure
 

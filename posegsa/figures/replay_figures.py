@@ -1,4 +1,4 @@
-"""The figures of a replay: errors, position and gain over time."""
+"""The figures of a replay over time: errors, attitude, biases, position and gain."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from posegsa.figures import style
 from posegsa.figures.style import finite, styled
-from posegsa.figures.trajectory_figures import draw_gains, positions
-from posegsa.judging.replayed import Replay
+from posegsa.figures.trajectory_figures import angles, draw_gains, positions
+from posegsa.judging.replayed import Replay, attitude_sigmas, roll_pitch_yaw
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 MAX_POINTS = 4000
 """Maximum number of points in a curve; with more samples the maximum of each bin is drawn."""
 
-REPLAY_FIGURES = ("attitude_errors", "position", "gain")
+REPLAY_FIGURES = ("attitude_errors", "attitude", "biases", "position", "gain")
 """Names of the figures of a replay."""
 
 
 def draw_replay(replay: Replay, figures: Sequence[str] = REPLAY_FIGURES) -> dict[str, Figure]:
     """Figures of a replay by name, without those that have nothing to show."""
-    plots = (plot_attitude_errors, plot_position, plot_gain)
+    plots = (plot_attitude_errors, plot_attitude, plot_biases, plot_position, plot_gain)
     drawn = {
         name: plot(replay)
         for name, plot in zip(REPLAY_FIGURES, plots, strict=True)
@@ -62,12 +62,52 @@ def plot_attitude_errors(replay: Replay) -> Figure | None:
 
 
 @styled
+def plot_attitude(replay: Replay) -> Figure:
+    """True and estimated roll, pitch and yaw [deg] over time [s]."""
+    recording, every = replay.recording, _every(replay)
+    truth = recording.truth
+    true = None if truth is None else roll_pitch_yaw(truth.rotation[every])
+    estimated = roll_pitch_yaw(np.asarray(replay.estimates.rotation)[every])
+    return angles(recording.time[every], true, estimated)
+
+
+@styled
+def plot_biases(replay: Replay) -> Figure | None:
+    """Estimated biases of gyroscope [deg/s] and velocity [m/s], and standard deviations [deg].
+
+    None if nothing of this is estimated.
+    """
+    recording, every = replay.recording, _every(replay)
+    bias = np.asarray(replay.estimates.bias, np.float64)[every]
+    shown: dict[str, tuple[np.ndarray, Sequence[str]]] = {}
+    shown["Gyroscope bias [deg/s]"] = np.degrees(bias[:, :3]), "xyz"
+    if not recording.attitude_only:
+        shown["Velocity bias [m/s]"] = bias[:, 3:], "xyz"
+    shown = {label: each for label, each in shown.items() if np.nan_to_num(each[0]).any()}
+    if (sigmas := attitude_sigmas(replay.estimates)) is not None:
+        sigmas = sigmas[every]
+        shown["Standard\ndeviation [deg]"] = sigmas, ("heading", "inclination")
+    if not shown:
+        return None
+    figure, axes = style.panels(len(shown), 1.2 + 1.6 * len(shown))
+    for ax, (label, (values, names)) in zip(axes, shown.items(), strict=True):
+        for column, name, look in zip(values.T, names, style.CURVES, strict=False):
+            ax.plot(recording.time[every], finite(column), label=name, **look, linewidth=1.2)
+        ax.set_ylabel(label)
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.95), ncols=len(names))
+        if values is sigmas:
+            style.scale_errors(ax, finite(values))
+    style.finish_time(axes, recording.time)
+    return figure
+
+
+@styled
 def plot_position(replay: Replay) -> Figure | None:
     """True and estimated position [m] over time [s]; None if it is not estimated."""
     recording, estimates = replay.recording, replay.estimates
     if recording.attitude_only:
         return None
-    every = slice(None, None, max(1, recording.samples // MAX_POINTS))
+    every = _every(replay)
     truth = None if recording.truth is None else recording.truth.position
     true = None if truth is None else truth[every]
     return positions(recording.time[every], true, np.asarray(estimates.position)[every])
@@ -94,6 +134,11 @@ def plot_gain(replay: Replay) -> Figure | None:
     style.finish_time([ax], replay.recording.time)
     style.legend_above(figure, ax)
     return figure
+
+
+def _every(replay: Replay) -> slice:
+    """The samples that are drawn, about MAX_POINTS."""
+    return slice(None, None, max(1, replay.recording.samples // MAX_POINTS))
 
 
 def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:

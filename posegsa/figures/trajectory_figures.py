@@ -83,10 +83,7 @@ def plot_gain(trajectory: Trajectory) -> Figure | None:
 @captioned(FIGURES, name="euler_angles", title="Attitude", caption=_BIASES)
 def plot_euler(trajectory: Trajectory) -> Figure:
     """True and estimated roll, pitch and yaw [deg] over time [s], broken where they wrap."""
-    labels = [rf"{name} [deg]" for name in (r"Roll $\phi$", r"Pitch $\theta$", r"Yaw $\psi$")]
-    pair = trajectory.euler, trajectory.euler_est
-    ticks = [1, 1.5, 3, 4.5, 9, 10]
-    return _true_and_estimated(trajectory.time, pair, labels, ticks, _broken_at_wraps)
+    return angles(trajectory.time, trajectory.euler, trajectory.euler_est)
 
 
 @captioned(FIGURES, name="position", title="Position", caption=_BIASES)
@@ -150,6 +147,13 @@ def plot_vector_biases(trajectory: Trajectory) -> Figure | None:
     style.finish_time([ax], trajectory.time)
     style.legend_above(figure, ax)
     return figure
+
+
+def angles(time: np.ndarray, true: np.ndarray | None, estimated: np.ndarray) -> Figure:
+    """True and estimated roll, pitch and yaw (N, 3) [deg] over time (N,) [s], broken at wraps."""
+    labels = [rf"{name} [deg]" for name in (r"Roll $\phi$", r"Pitch $\theta$", r"Yaw $\psi$")]
+    ticks = [1, 1.5, 3, 4.5, 9, 10]
+    return _true_and_estimated(time, (true, estimated), labels, ticks, _broken_at_wraps)
 
 
 def positions(time: np.ndarray, true: np.ndarray | None, estimated: np.ndarray) -> Figure:

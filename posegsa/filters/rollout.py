@@ -26,7 +26,12 @@ from posegsa.filters.base import (
 )
 from posegsa.filters.calls import estimated, started, stepped
 from posegsa.filters.covariance import matrix
-from posegsa.filters.uncertainty import PoseCovariance, nees, pose_covariance
+from posegsa.filters.uncertainty import (
+    PoseCovariance,
+    attitude_deviations,
+    nees,
+    pose_covariance,
+)
 from posegsa.model.cost import (
     CostParts,
     CostWeights,
@@ -71,6 +76,11 @@ class Estimates(NamedTuple):
     """(N, 6, 6) covariance of the pose error xi = [theta; rho] (rad, m), body frame, with T =
     T_est exp(xi^); None for a filter without one. R_est Sigma_rho R_est^T is the position's in the
     inertial frame."""
+    heading_deviation: Array | None = None
+    """(N,) standard deviation of the heading [rad], from a filter that states it without a
+    `covariance`."""
+    inclination_deviation: Array | None = None
+    """(N,) the same of the inclination."""
 
     def __repr__(self) -> str:
         return f"<Estimates of {counted(jnp.shape(self.time)[-1], 'sample')}>"
@@ -137,6 +147,8 @@ class View(NamedTuple):
     """The estimate before the sample."""
     covariance: PoseCovariance | None
     """The covariance of its pose; None for a filter without one."""
+    deviations: tuple[Array, Array] | None
+    """Standard deviations of heading and inclination [rad]; None for a filter without them."""
     record: Record
     """The record of the step."""
     now: Samples
@@ -181,7 +193,8 @@ def run(
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
         (state, total), (now, entry) = carry, inputs
         after, record = stepped(ready, state, now)
-        view = View(estimated(ready, state), pose_covariance(ready, state), record, now)
+        known = pose_covariance(ready, state), attitude_deviations(state)
+        view = View(estimated(ready, state), *known, record, now)
         total, stored = look(total, view, entry)
         return (after, total), stored
 
@@ -270,6 +283,7 @@ def _everything(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[(
 
 def _estimates(samples: Samples, stored: View) -> Estimates:
     states, covariance = stored.estimate, stored.covariance
+    heading, inclination = stored.deviations or (None, None)
     of_gain = {
         name: jnp.full_like(samples.time, jnp.nan) if values is None else values
         for name, values in stored.record._asdict().items()
@@ -283,6 +297,8 @@ def _estimates(samples: Samples, stored: View) -> Estimates:
         vector_bias=states.vector_bias,
         nis=_nis(stored.record),
         covariance=None if covariance is None else matrix(covariance, 6),
+        heading_deviation=heading,
+        inclination_deviation=inclination,
         **of_gain,
     )
 
@@ -323,7 +339,7 @@ def simulate_errors_together(
 
 def _true_errors(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[()], Any]:
     """Store what `ErrorTrack` needs."""
-    estimate, covariance, record, now = view
+    estimate, covariance, _, record, now = view
     known = known_pose(now.truth)
     off = None if covariance is None else nees(estimate, covariance, known)
     return total, (*pose_errors(estimate, known), record, estimate.place, off)

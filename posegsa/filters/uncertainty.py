@@ -24,6 +24,16 @@ def pose_covariance(ready: Any, state: Any) -> PoseCovariance | None:
     return None if own is None else own(state)
 
 
+def attitude_deviations(state: Any) -> tuple[Array, Array] | None:
+    """Standard deviations of heading and inclination [rad] that a filter's state has as attributes.
+
+    They are `heading_deviation` and `inclination_deviation`; None if it lacks one.
+    """
+    each = (getattr(state, f"{name}_deviation", None) for name in ("heading", "inclination"))
+    heading, inclination = each
+    return None if heading is None or inclination is None else (heading, inclination)
+
+
 def nees(estimate: FilterState, covariance: PoseCovariance, truth: TruePose) -> Array:
     """Normalised estimation error squared of the pose, xi^T Sigma^-1 xi, of the batch shape.
 

@@ -63,7 +63,7 @@ ADVICE = {
     AS_CONFIGURED: "use the configuration itself, without a search",
     NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
     KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
-    IMU_AS_IT_COMES: "`posegsa replay imu`",
+    IMU_AS_IT_COMES: "`posegsa export imu --format c` or `posegsa replay imu FILE`",
 }
 """How to get one of the filters that are compared with a tuned one."""
 BAND_POINTS = 300

@@ -13,11 +13,12 @@ from posegsa.errors import RecordingError
 from posegsa.filters.base import sensors_of
 from posegsa.filters.rollout import Estimates
 from posegsa.judging.description import Description, described_filter
-from posegsa.judging.evaluation import ADVICE, CONSTANT
+from posegsa.judging.evaluation import ADVICE, CONSTANT, IMU_AS_IT_COMES
 from posegsa.judging.known_sensors import StoredSensors
 from posegsa.judging.replayed import HEADS, error_rows, replayed_on, with_heads
 from posegsa.judging.verdict import Loss, verdict
 from posegsa.recordings.accuracy import AnyNumber, Blocks, Rmse
+from posegsa.recordings.broad import GYROSCOPE
 from posegsa.recordings.fingerprint import fingerprint
 from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
@@ -97,6 +98,8 @@ class OnRecordings:
     """Its score on each held-out recording; empty if there were none."""
     baselines: dict[str, list[RecordingScore]] = field(default_factory=dict)
     """Scores of other filters on the same held-out recordings, by name (`evaluate`)."""
+    baselines_in_training: dict[str, list[RecordingScore]] = field(default_factory=dict)
+    """The same on the training recordings, of filters that were not tuned on these."""
     simulated: SimulatedScore | None = None
     """Its score on simulated scenarios, if it was tuned on these too."""
     sensors: StoredSensors | None = None
@@ -147,7 +150,15 @@ class OnRecordings:
         order = sorted(found, key=lambda name: gain[name], reverse=True)
         better = {name: found[name] for name in order if gain[name] > 1 - 1 / MATTERS}
         others = {name: found[name] for name in order if name not in better}
-        return verdict("what was held out", errors, better, others, ADVICE)
+        words = verdict("what was held out", errors, better, others, ADVICE)
+        return words + self._chosen_on_these()
+
+    def _chosen_on_these(self) -> str:
+        """A sentence if a compared filter's numbers were chosen on recordings like the held-out."""
+        of_broad = any(GYROSCOPE in one.sources.values() for one in self.held_out)
+        if not (of_broad and IMU_AS_IT_COMES in self.baselines):
+            return ""
+        return f" The numbers of the {IMU_AS_IT_COMES} were chosen on trials of BROAD."
 
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""
@@ -183,7 +194,9 @@ class OnRecordings:
 
     def rows(self) -> list[list[str]]:
         """The rows of `table`, the heads first."""
-        blocks = {"tuned on": self.training, "held out": self.held_out}
+        blocks = {"tuned on": self.training}
+        blocks |= {f"{name}, training": each for name, each in self.baselines_in_training.items()}
+        blocks["held out"] = self.held_out
         blocks |= {f"{name}, held out": scores for name, scores in self.baselines.items()}
         rows = [
             [title if first == 0 else "", *row]
@@ -193,12 +206,20 @@ class OnRecordings:
         return with_heads(["", *HEADS], rows)
 
     def origins(self) -> str:
-        """Which quantities are measured, which are synthetic, and what was bridged."""
-        lines = []
-        for one in (*self.training, *self.held_out):
+        """Which quantities are measured, which are synthetic, and what was bridged.
+
+        A line is of the recordings that it names, or of all.
+        """
+        every = {one.name: one for one in (*self.training, *self.held_out)}
+        names: dict[str, list[str]] = {}
+        for one in every.values():
             words = [f"{quantity}: {text}" for quantity, text in one.sources.items()]
-            lines += [f"{one.name}: {text}" for text in (*words, *one.notes)]
-        return "\n".join(dict.fromkeys(lines))
+            for text in dict.fromkeys((*words, *one.notes)):
+                names.setdefault(text, []).append(one.name)
+        return "\n".join(
+            text if len(of) == len(every) > 1 else f"{', '.join(of)}: {text}"
+            for text, of in names.items()
+        )
 
 
 @np.errstate(all="ignore")  # a filter may diverge to any number

@@ -21,6 +21,7 @@ import numpy as np
 
 from posegsa.errors import ArgumentError, RecordingError
 from posegsa.filters.rollout import Estimates
+from posegsa.recordings.bridging import gaps_in
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import matrices, quaternions
 
@@ -42,7 +43,11 @@ def other_filter(name: str, recording: Recording) -> Estimates:
         RecordingError: The recording lacks a signal that the filter needs.
     """
     signals = _signals(recording)
-    R = OTHER_FILTERS[name](signals, recording.time_step)
+    # They take one time step for all samples, so that they start anew after a gap.
+    parts = np.split(np.arange(recording.samples), gaps_in(recording.time)[0] + 1)
+    gyr, acc, mag = signals
+    each = ((gyr[part], acc[part], mag[part]) for part in parts)
+    R = np.concatenate([OTHER_FILTERS[name](part, recording.time_step) for part in each])
     count = recording.samples
     nothing = np.full(count, np.nan)
     arrays: dict[str, Any] = {

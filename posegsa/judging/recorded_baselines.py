@@ -142,13 +142,17 @@ def beside_what_was_not_searched(
     beside = {IMU_AS_IT_COMES if plain.filter.kind == "imu" else NOISES_FOUND: plain}
     if plain.filter.kind == "kalman":
         beside[KALMAN_AS_IT_COMES] = config.load("kalman")
-    baselines = {}
+    baselines, in_training = {}, {}
     for name, experiment in beside.items():
         if not _same_numbers(result.tuned.filter, experiment.filter):
             steps.begin("judging", about=name)
-            baselines[name] = scored(configured_filter(experiment), experiment, held_out)
-    assert result.on_recordings is not None
-    return replace(result, on_recordings=replace(result.on_recordings, baselines=baselines))
+            filter = configured_filter(experiment)
+            baselines[name] = scored(filter, experiment, held_out)
+            in_training[name] = scored(filter, experiment, training)
+    judged = result.on_recordings
+    assert judged is not None
+    judged = replace(judged, baselines=baselines, baselines_in_training=in_training)
+    return replace(result, on_recordings=judged)
 
 
 def _same_numbers(one: Section, other: Section) -> bool:

@@ -3,9 +3,12 @@
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from posegsa.filters.rollout import Estimates
+from posegsa.model.se3 import euler_angles
 from posegsa.recordings.accuracy import RecordingErrors, Rmse, recording_errors
 from posegsa.recordings.recording import Recording
 from posegsa.words import text_table
@@ -62,6 +65,36 @@ class Replay(NamedTuple):
         return f"<Replay of {self.recording.name}: {errors}>"
 
 
+def roll_pitch_yaw(rotation: ArrayLike) -> np.ndarray:
+    """Roll, pitch and yaw (K, 3) [deg] of rotations (K, 3, 3), body to inertial."""
+    return np.degrees(np.asarray(euler_angles(jnp.asarray(rotation)), np.float64))
+
+
+def attitude_sigmas(estimates: Estimates) -> np.ndarray | None:
+    """Standard deviations (K, 2) of heading and inclination [deg]; None if the filter has none."""
+    heading, inclination = estimates.heading_deviation, estimates.inclination_deviation
+    if heading is not None and inclination is not None:
+        return np.degrees(np.stack([heading, inclination], axis=1))
+    if estimates.covariance is None:
+        return None
+    x, y, z = _inertial_variances(estimates, slice(0, 3)).T
+    return np.degrees(np.sqrt(np.stack([z, x + y], axis=1)))
+
+
+def position_sigmas(estimates: Estimates) -> np.ndarray | None:
+    """Standard deviations (K, 3) of the position by inertial axis [m]; None if it has none."""
+    if estimates.covariance is None:
+        return None
+    return np.sqrt(_inertial_variances(estimates, slice(3, 6)))
+
+
+def _inertial_variances(estimates: Estimates, part: slice) -> np.ndarray:
+    """Variances (K, 3) by inertial axis of a part of the pose error, which is in the body frame."""
+    R = np.asarray(estimates.rotation, np.float64)
+    covariance = np.asarray(estimates.covariance, np.float64)[:, part, part]
+    return np.einsum("kij,kjl,kil->ki", R, covariance, R)
+
+
 def replayed_on(recording: Recording, estimates: Estimates) -> Replay:
     """A replay from a recording and the estimates at all its samples."""
     errors = None if recording.truth is None else recording_errors(estimates, recording)
@@ -76,7 +109,15 @@ HEADS = (
 
 
 def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]:
-    """A row for each phase of a recording; the position is empty if it is not judged."""
+    """A row for each phase of a recording; the position is empty if it is not judged.
+
+    A phase that is all that is judged has no row of its own.
+    """
+    each_phase = dict(phases)
+    judged = each_phase.pop("judged")
+    others = {phase: each for phase, each in each_phase.items() if each != judged}
+    same = [phase for phase in each_phase if phase not in others]
+    named = {f"judged: {same[0]}" if same else "judged": judged} | others
     return [
         [
             name if first == 0 else "",
@@ -85,7 +126,7 @@ def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]
             *(f"{a:.2f}" for a in (each.total, each.heading, each.inclination)),
             "" if each.position is None else f"{100 * each.position:.2f}",
         ]
-        for first, (phase, each) in enumerate(phases)
+        for first, (phase, each) in enumerate(named.items())
     ]
 
 
@@ -99,14 +140,18 @@ def replay_table(replays: Sequence[Replay]) -> str:
     """Root mean square errors by recording and phase, as text, and which filters are lost."""
     rows = []
     for each in replays:
-        if each.errors is None:
-            rows.append([each.recording.name, "no truth", str(each.recording.samples), *[""] * 4])
-        else:
+        if each.errors is not None:
             rows += error_rows(each.recording.name, each.errors.rmse().items())
     told = [
+        f"{each.recording.name}: has no truth, so that no errors can be shown"
+        for each in replays
+        if each.errors is None
+    ]
+    told += [
         f"  warning: {each.recording.name}: the filter is lost: {words}; `posegsa check` looks for "
         "mistakes in a recording"
         for each in replays
         if (words := each.lost)
     ]
-    return "\n".join([text_table(with_heads([*HEADS], rows)), *told])
+    table = [text_table(with_heads([*HEADS], rows))] if rows else []
+    return "\n".join([*table, *told])

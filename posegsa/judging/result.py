@@ -318,14 +318,20 @@ class Result:
             parts.append(f"Tuned{beside}: {tuned}")
         if self.filter.kind == "fuzzy" and self.experiment.fuzzy.rules == SEARCHED:
             parts.append(rules_text(self.controller.rules))
-        if self.on_scenarios is not None:
-            parts.append(self.on_scenarios.evaluation.verdict())
-        if self.on_recordings is not None:
-            parts.append(self.on_recordings.verdict())
+        parts.append(self.verdict())
         kept = self._kept()
         lines = [f"  note: {words}" for words in ([kept] if kept else self.at_ends())]
         lines += [f"  warning: {warning}" for warning in self.warnings()]
         return "\n".join(["\n\n".join(filter(None, parts)), *lines])
+
+    def verdict(self) -> str:
+        """Which of the compared filters do better, on scenarios and recordings; "" without any."""
+        parts = []
+        if self.on_scenarios is not None:
+            parts.append(self.on_scenarios.evaluation.verdict())
+        if self.on_recordings is not None:
+            parts.append(self.on_recordings.verdict())
+        return "\n\n".join(filter(None, parts))
 
     def at_ends(self) -> list[str]:
         """Which of the tuned numbers are at an end of their box, in words."""

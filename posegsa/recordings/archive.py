@@ -13,8 +13,8 @@ GROUPS = "phases", "sources", "sensors"
 START = "start_rotation", "start_position", "start_bias"
 WORDS = "name", "start"
 BY_RATE = "weights_by_rate"
-OUTLIER = "landmark_outlier"
-"""Name of an argument that is a number or "off"."""
+SCALARS = "landmark_outlier", "origin"
+"""Names of arguments that are numbers; the first may be "off"."""
 ARRAYS = (
     *("time", "time_step", "angular_velocity", "velocity"),
     *("vectors", "vector_references", "vector_weights"),
@@ -44,13 +44,13 @@ def read_npz(path: str | Path) -> dict[str, Any]:
             found[name] = tuple(map(str, np.ravel(array)))
         elif name == BY_RATE and array.ndim == 0 and array.dtype == bool:
             found[name] = bool(array)
-        elif name == OUTLIER:
+        elif name in SCALARS:
             found[name] = array.item() if array.ndim == 0 else array
         elif name in ARRAYS:
             found[name] = array
         else:
             allowed = ", ".join(
-                (*ARRAYS, *WORDS, *START, BY_RATE, OUTLIER, "notes", *(f"{g}/..." for g in GROUPS))
+                (*ARRAYS, *WORDS, *START, BY_RATE, *SCALARS, "notes", *(f"{g}/..." for g in GROUPS))
             )
             raise RecordingError(f"{path}: holds {name!r}; allowed: {allowed}")
     if "angular_velocity" not in found:

@@ -13,6 +13,9 @@ import numpy as np
 from posegsa.recordings.checked_files import file_of, reading
 from posegsa.recordings.frames import GRAVITY
 
+GYROSCOPE = "measured (BROAD's gyroscope)"
+"""What a trial's `sources` say of its angular velocity."""
+
 
 def read_broad(path: str | Path) -> dict[str, Any]:
     """Arguments of `Recording.from_arrays` from a trial's .mat file; see `Recording.from_broad`.
@@ -43,7 +46,7 @@ def read_broad(path: str | Path) -> dict[str, Any]:
         "start": "rest",
         "sensors": {"accelerometer": acc, "magnetometer": mag},
         "sources": {
-            "angular velocity": "measured (BROAD's gyroscope)",
+            "angular velocity": GYROSCOPE,
             "vectors": "measured: a / 9.81 m/s^2 (up), and m x a (east), not normalised",
             "truth": "measured (optical motion capture)",
         },

@@ -17,6 +17,7 @@ from posegsa.arguments import check_number, check_type
 from posegsa.errors import RecordingError
 from posegsa.filters.attitude import LONGEST_PAUSE
 from posegsa.model.measurements import finite_array, finite_rows
+from posegsa.recordings.bridging import refuse_gaps
 from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame
 from posegsa.recordings.imu_advice import advice
 from posegsa.recordings.recording import Recording
@@ -123,6 +124,7 @@ def as_imu(recording: Recording, *, frame: Frame | None = None) -> ImuRecording:
         _frame_of(recording) if frame is None else frame,
         name=recording.name,
         time_step=recording.measurements.time_step,
+        origin=recording.first_stamp,
         truth_rotation=None if truth is None else truth.rotation,
         judged=recording.judged,
         phases=recording.phases,
@@ -131,6 +133,8 @@ def as_imu(recording: Recording, *, frame: Frame | None = None) -> ImuRecording:
     )
 
 
+WITHOUT_PAUSES = "observer", "kalman"
+"""Kinds of filters that have no rule for a gap between two samples."""
 _FROM_SIGNALS = {
     *("angular_velocity", "velocity", "sensors", "start", "weights_by_rate"),
     *("vectors", "vector_references", "vector_weights"),
@@ -176,7 +180,13 @@ def _made(
 
 
 def as_read_by(kind: str, recording: Recording) -> Recording:
-    """A recording as a kind of filter reads it: "imu" reads the raw signals of inertial sensors."""
+    """A recording as a kind of filter reads it: "imu" reads the raw signals of inertial sensors.
+
+    Raises:
+        RecordingError: as in `as_imu`, or there is a gap that this kind can't read.
+    """
+    if kind in WITHOUT_PAUSES:
+        refuse_gaps(recording.name, recording.time)
     if kind != "imu" or isinstance(recording, ImuRecording):
         return recording
     return as_imu(recording)

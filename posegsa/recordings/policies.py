@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-Policy = Literal["refuse", "hold", "interpolate"]
-"""Bridge nothing, hold the last velocities, or interpolate (`recordings.bridging`)."""
+Policy = Literal["refuse", "keep", "hold", "interpolate"]
+"""What to do about missing samples (`recordings.bridging`)."""
 LONGEST_GAP = 1.0
-"""Default of the longest time that is bridged [s]."""
+"""Default of the longest time that is filled [s]."""

@@ -4,7 +4,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Real
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -22,19 +22,27 @@ from posegsa.recordings.beside import (
     path_beside,
     read_beside,
 )
-from posegsa.recordings.bridging import Bridged, bridged_samples, known_everywhere, stamps
+from posegsa.recordings.bridging import (
+    Bridged,
+    bridged_samples,
+    first_stamp,
+    gaps_in,
+    known_everywhere,
+    stamp_after,
+    stamps,
+)
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.checked_files import as_path, naming
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
-from posegsa.recordings.policies import LONGEST_GAP, Policy
+from posegsa.recordings.policies import Policy
 from posegsa.recordings.readers import IN_WORDS, READERS
 from posegsa.recordings.rosbag import Stamps, Topics, is_bag, of_unit_length, read_rosbag
 from posegsa.recordings.rotations import about, matrices
 from posegsa.recordings.seen import check_something_is_seen
 from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
 from posegsa.recordings.streams import Between, Stream, on_one_clock
-from posegsa.recordings.table import SENSORS, Columns, read_csv
+from posegsa.recordings.table import ACCELEROMETER, SENSORS, Columns, read_csv
 from posegsa.recordings.tum import read_tum, with_tum
 
 LANDMARK_OUTLIER = 7.0
@@ -103,6 +111,8 @@ class Recording:
     """(n,) factor on the weights of each vector: samples from one measurement to the next."""
     landmark_interval: np.ndarray = field(default_factory=lambda: np.ones(0))
     """(m,) the same for each landmark."""
+    first_stamp: int | float = 0.0
+    """The time stamp of the first sample: an integer in ns, or a float in s; 0.0 without stamps."""
 
     @classmethod
     def from_arrays(
@@ -111,6 +121,7 @@ class Recording:
         name: str = "recording",
         time: ArrayLike | None = None,
         time_step: ArrayLike | None = None,
+        origin: int | float = 0.0,
         angular_velocity: ArrayLike,
         velocity: ArrayLike | None = None,
         vectors: ArrayLike | None = None,
@@ -127,8 +138,8 @@ class Recording:
         judged: ArrayLike | None = None,
         phases: Mapping[str, ArrayLike] | None = None,
         start: StartRule | Sequence[ArrayLike] = "sensors",
-        bridge: Policy = "refuse",
-        longest_gap: float = LONGEST_GAP,
+        bridge: Policy | None = None,
+        longest_gap: float | None = None,
         sources: Mapping[str, str] | None = None,
         sensors: Mapping[str, ArrayLike] | None = None,
         notes: Sequence[str] = (),
@@ -139,6 +150,7 @@ class Recording:
             name: its name in tables and files.
             time: (K,) time stamps: integers in ns, floats in s; or give `time_step`.
             time_step: scalar or (K,) time to the next sample [s].
+            origin: the time stamp that these count from, an integer in ns or a float in s.
             angular_velocity: (K, 3) gyroscope, body frame [rad/s].
             velocity: (K, 3) linear velocity, body frame [m/s]; None for attitude only, which has no
                 landmarks either.
@@ -163,9 +175,12 @@ class Recording:
                 used for start "rest"; without it, that is the first second.
             start: "rest", "sensors" or a pose: (rotation (3, 3), position (3,)), optionally with a
                 bias (6,).
-            bridge: "refuse", "hold" or "interpolate": what to do where time stamps do not increase,
-                velocities are NaN or there is a gap (`posegsa.recordings.bridging`).
-            longest_gap: maximum time [s] that is bridged.
+            bridge: "refuse", "keep", "hold" or "interpolate": what to do where time stamps do not
+                increase, velocities are NaN or there is a gap (`posegsa.recordings.bridging`). By
+                default all this is refused; but without a velocity and with an accelerometer in
+                `sensors` gaps are kept, and samples without velocities dropped.
+            longest_gap: maximum time [s] that is bridged, by default 1 s; of a gap that is kept, by
+                default an hour.
             sources: `Recording.sources`.
             sensors: `Recording.sensors`.
             notes: `Recording.notes`.
@@ -193,7 +208,11 @@ class Recording:
                 f"{name}: must not be infinite, got {velocities[k, column]} at {(k, column % 3)}"
             )
         found = bridged_samples(
-            stamps(time, time_step, samples), velocities, policy=bridge, longest=longest_gap
+            stamps(time, time_step, samples),
+            velocities,
+            policy=bridge,
+            longest=longest_gap,
+            inertial=attitude_only and ACCELEROMETER in (sensors or {}),
         )
         omega, linear = np.hsplit(known_everywhere(found, velocities, bridge), 2)
         if truth_rotation is not None and truth_quaternion is not None:
@@ -240,6 +259,7 @@ class Recording:
                 )
                 for key, signal in (sensors or {}).items()
             },
+            first_stamp=stamp_after(first_stamp(time, _stamp("origin", origin)), found.begin),
             **intervals,
         )
         if changes:
@@ -259,8 +279,8 @@ class Recording:
         sensors: Mapping[str, Stream] | None = None,
         clock: str | ArrayLike = "angular_velocity",
         between: Mapping[str, Between] | None = None,
-        bridge: Policy = "refuse",
-        longest_gap: float = LONGEST_GAP,
+        bridge: Policy | None = None,
+        longest_gap: float | None = None,
         notes: Sequence[str] = (),
         **more: Any,
     ) -> "Recording":
@@ -304,7 +324,9 @@ class Recording:
         }
         named = {name: a for name, a in streams.items() if a is not None and len(a)}
         signals = dict(sensors or {})
-        how = {"bridge": bridge, "longest": longest_gap}
+        how: dict[str, Any] = {"bridge": bridge or "refuse"}
+        if longest_gap is not None:
+            how["longest"] = longest_gap
         found = on_one_clock(named | signals, clock=clock, between=between, **how)
         found["notes"] = (*notes, *found["notes"])
         found["sensors"] = {name: found.pop(name) for name in signals}
@@ -545,6 +567,7 @@ class Recording:
         arguments = {
             "name": self.name,
             "time_step": m["time_step"],
+            "origin": self.first_stamp,
             "angular_velocity": m["angular_velocity"],
             "velocity": None if self.attitude_only else m["velocity"],
             **seen,
@@ -563,6 +586,13 @@ class Recording:
     def samples(self) -> int:
         """Number of samples K."""
         return len(self.time)
+
+    @property
+    def stamps(self) -> np.ndarray:
+        """(K,) time stamps as they were given: integers in ns, or floats in s."""
+        if isinstance(self.first_stamp, int):
+            return self.first_stamp + np.rint(1e9 * self.time).astype(np.int64)
+        return self.first_stamp + self.time
 
     @property
     def time_step(self) -> float:
@@ -629,6 +659,7 @@ class Recording:
             self,
             name=f"{self.name}[{begin:g}:{last}]",
             time=self.time[part] - self.time[part.start],
+            first_stamp=stamp_after(self.first_stamp, float(self.time[part.start])),
             measurements=with_numpy_arrays(
                 {name: np.asarray(a)[part] for name, a in self.measurements._asdict().items()}
             ),
@@ -679,6 +710,8 @@ class Recording:
             f"{1 / self.time_step:.4g} Hz, {', '.join(counts)}, {mode}, {judged}, start: {start}"
         ]
         lines += [f"  {quantity}: {words}" for quantity, words in self.sources.items()]
+        if words := gaps_in(self.time)[1]:
+            lines.append(f"  gaps: {words}")
         lines += [f"  note: {note}" for note in self.notes]
         return "\n".join(lines)
 
@@ -709,6 +742,13 @@ def _mask(name: str, mask: ArrayLike, samples: int) -> np.ndarray:
             f"{name}: must be a mask of the shape ({samples},), of bool or 0 and 1"
         )
     return array.astype(bool)
+
+
+def _stamp(name: str, stamp: Any) -> int | float:
+    """A checked time stamp from a user."""
+    if isinstance(stamp, Real) and not isinstance(stamp, bool) and math.isfinite(stamp):
+        return int(stamp) if isinstance(stamp, Integral) else float(stamp)
+    raise RecordingError(f"{name} = {stamp!r}; allowed: an integer in ns, or a float in s")
 
 
 def _start(start: Any) -> StartRule:

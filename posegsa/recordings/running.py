@@ -19,6 +19,7 @@ from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import Estimates, simulate_part
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
+from posegsa.recordings.bridging import refuse_gaps
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.start import Start, with_numpy_arrays
 
@@ -90,6 +91,8 @@ def as_seen(filter: Filter, recording: Recording) -> Recording:
     correct as much per second. A Kalman filter takes each weight above 0 as 1, and any other filter
     the weights as they were given: in a stream and in C it has the same.
     """
+    if isinstance(filter, Observer | KalmanFilter):
+        refuse_gaps(recording.name, recording.time)
     if isinstance(filter, Observer):
         return recording
     m = recording.measurements._asdict()

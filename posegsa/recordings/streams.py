@@ -89,7 +89,7 @@ def on_one_clock(
     part = slice(int(inside[0]), int(inside[-1]) + 1)
     if left := len(ticks) - (part.stop - part.start):
         notes.append(f"{counted(left, 'sample')} without velocities left out, at the ends")
-    found: dict[str, Any] = {"time": ticks[part], "notes": tuple(notes)}
+    found: dict[str, Any] = {"time": ticks[part], "origin": origin.item(), "notes": tuple(notes)}
     for quantity, given in streams.items():
         each = [columns[name][part] for name, (own, _) in named.items() if own == quantity]
         found[quantity] = each[0] if _is_stream(given) else np.stack(each, axis=1)

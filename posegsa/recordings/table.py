@@ -31,7 +31,8 @@ SIGHTING = re.compile(r"(?P<kind>[vl])(?P<number>\d+)_[xyz]")
 """Default names of columns of vectors and landmarks, ordered by number: v0_x v0_y v0_z, v1_x ...,
 l0_x ..."""
 KINDS = {"v": "vectors", "l": "landmarks"}
-SENSORS = "accelerometer", "magnetometer"
+ACCELEROMETER = "accelerometer"
+SENSORS = ACCELEROMETER, "magnetometer"
 """Signals that become `Recording.sensors`."""
 MASKS = ("judged",)
 TIME_UNITS = {"s": 0, "ms": 6, "us": 3, "ns": 0}

@@ -102,4 +102,5 @@ def with_tum(
         raise RecordingError(f"truth = {str(path)!r}: allowed with time stamps")
     found = on_one_clock(read_tum(path), clock=arguments["time"], between=between)
     notes = (*arguments.get("notes", ()), *found.pop("notes"))
-    return arguments | {name: a for name, a in found.items() if name != "time"} | {"notes": notes}
+    truth = {name: a for name, a in found.items() if name.startswith("truth_")}
+    return arguments | truth | {"notes": notes}

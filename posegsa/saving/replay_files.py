@@ -13,12 +13,14 @@ from posegsa.figures.style import png
 from posegsa.judging.replayed import Replay, replay_table
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.tum import tum_text
+from posegsa.saving.estimates_csv import csv_text
 from posegsa.saving.folder import as_path, lock, replace_files, write_errors
 from posegsa.settings.plain import json_text, plain
 
 SCHEMA = 1
 """Version of the format of replay.json; it changes when a key changes its meaning."""
 TABLE, DATA = "replay.txt", "replay.json"
+TRAJECTORIES = "estimated.tum", "true.tum", "judged.tum"
 
 
 def refuse_replays_in(folder: str | Path, *, overwrite: bool) -> Path:
@@ -45,9 +47,9 @@ def write_replays(
 ) -> Path:
     """Write replays to a folder, created if missing.
 
-    The files are replay.txt and replay.json, and for each recording a folder with estimated.tum,
-    true.tum (where the truth is known), judged.tum (the judged part, if that is not all of it) and
-    the figures.
+    The files are replay.txt and replay.json, and for each recording a folder with estimates.csv
+    (`estimates_csv`), the figures and, where there is a position, estimated.tum, true.tum (where
+    the truth is known) and judged.tum (the judged part, if that is not all of it).
 
     Raises:
         RunFolderError: The folder contains replays already, or cannot be written.
@@ -64,7 +66,7 @@ def write_replays(
     files[TABLE] = "\n\n".join([replay_table(replays), *described, ""]).encode()
     files[DATA] = (json_text(plain(data)) + "\n").encode()
     # Remove files of an earlier replay that this one may not have.
-    optional = "true.tum", "judged.tum", *(f"{name}.png" for name in REPLAY_FIGURES)
+    optional = *TRAJECTORIES, *(f"{name}.png" for name in REPLAY_FIGURES)
     with lock(folder):
         replace_files(
             folder, files, remove=[f"{name}/{file}" for name in names for file in optional]
@@ -86,12 +88,15 @@ def folder_names(names: Sequence[str]) -> list[str]:
 
 def _files(replay: Replay, figures: Sequence[str]) -> dict[str, bytes]:
     recording, estimates = replay.recording, replay.estimates
-    position = None if recording.attitude_only else estimates.position
-    files = {"estimated.tum": tum_text(recording.time, estimates.rotation, position).encode()}
-    if (truth := recording.truth) is not None:
-        files["true.tum"] = _truth(recording, truth.known)
-        if (recording.judged != truth.known).any():
-            files["judged.tum"] = _truth(recording, recording.judged)
+    files = {"estimates.csv": csv_text(replay).encode()}
+    if not recording.attitude_only:
+        estimated, true, judged = TRAJECTORIES
+        text = tum_text(_seconds(recording), estimates.rotation, estimates.position)
+        files[estimated] = text.encode()
+        if (truth := recording.truth) is not None:
+            files[true] = _truth(recording, truth.known)
+            if (recording.judged != truth.known).any():
+                files[judged] = _truth(recording, recording.judged)
     drawn = draw_replay(replay, figures).items()
     return files | {f"{name}.png": png(figure) for name, figure in drawn}
 
@@ -101,7 +106,13 @@ def _truth(recording: Recording, which: np.ndarray) -> bytes:
     truth = recording.truth
     assert truth is not None
     position = None if truth.position is None else truth.position[which]
-    return tum_text(recording.time[which], truth.rotation[which], position).encode()
+    return tum_text(_seconds(recording)[which], truth.rotation[which], position).encode()
+
+
+def _seconds(recording: Recording) -> np.ndarray:
+    """The time stamps (K,) in seconds, as TUM files have them."""
+    stamps = recording.stamps
+    return stamps / 1e9 if stamps.dtype.kind == "i" else stamps
 
 
 def _summary(replay: Replay) -> dict[str, Any]:

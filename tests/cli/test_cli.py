@@ -253,6 +253,8 @@ def test_a_changed_result_is_read_only_on_demand(finished, tmp_path, capsys):
     assert "was changed after posegsa wrote it" in capsys.readouterr().err
     assert main(["export", str(tmp_path), "--format", "json", "--edited"]) == 0
     assert json.loads(capsys.readouterr().out)
+    assert main(["export", str(tmp_path), "--format", "json", "--set", "filter.gamma=1"]) == 2
+    assert "--set; allowed: with a configuration" in capsys.readouterr().err
 
 
 def test_a_configuration_means_its_own_filter(monkeypatch, capsys):
@@ -262,6 +264,13 @@ def test_a_configuration_means_its_own_filter(monkeypatch, capsys):
     assert [k for (k,) in found.values()] == pytest.approx(config.load("quick").tuned.numbers)
     assert main(["export", "quick", "--format", "json", "--edited"]) == 2
     assert "--edited; allowed: with the folder of a run, not quick" in capsys.readouterr().err
+    found = []
+    for more in ([], ["--set", "filter.magnetometer_delay=0"]):
+        assert main(["export", "imu", "--format", "c", *more]) == 0
+        found.append(capsys.readouterr().out)
+    assert found[0] != found[1]
+    assert main(["export", "imu", "--format", "c", "--set", "filter.delay=0"]) == 2
+    assert "filter.delay" in capsys.readouterr().err
 
 
 def numbers_of(header: str) -> list[str]:
@@ -360,6 +369,10 @@ def test_configurations_are_listed_and_printed(capsys):
     assert main(["config", "show", "quick"]) == 0
     shown = capsys.readouterr().out
     assert config.from_dict(tomllib.loads(shown)) == config.load("quick")
+    assert main(["config", "quick"]) == 0
+    assert capsys.readouterr().out == shown
+    assert main(["config", "show"]) == 2
+    assert "posegsa config [show] NAME" in capsys.readouterr().err
     assert main(["config", "show", "quik.toml"]) == 2, "it prints no files"
     refusal = capsys.readouterr().err
     assert "quik.toml: no configuration of posegsa; allowed: disturbed, field" in refusal

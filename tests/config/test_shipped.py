@@ -1,11 +1,14 @@
 """The configurations that come with posegsa, by name."""
 
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from posegsa import config
 from posegsa.config import shipped
+from posegsa.config.defaults_shown import with_defaults_shown
 from posegsa.errors import ConfigError
 
 pytestmark = pytest.mark.quick
@@ -18,6 +21,21 @@ def test_each_file_has_a_name_and_says_what_it_is_for() -> None:
     for name in shipped.names():
         assert len(shipped.about(name)) > 20
         assert "\n" not in shipped.about(name)
+
+
+@pytest.mark.parametrize("name", shipped.names())
+def test_the_defaults_that_are_shown_are_those_that_hold(name: str) -> None:
+    experiment = config.load(name)
+    shown = with_defaults_shown(shipped.find(name).read_text("utf-8"), experiment)
+    assert config.from_dict(tomllib.loads(shown)) == experiment
+    stated = re.sub(r"^# (\w+ = )", r"\1", shown, flags=re.MULTILINE)
+    found = tomllib.loads(stated)["filter"]
+    assert config.from_dict({"filter": found}).filter == experiment.filter
+    plain = experiment.filter.model_dump(mode="json").items()
+    assert {key for key, value in plain if not isinstance(value, dict | list | None)} <= set(found)
+    if name == "imu":
+        assert "\n# magnetometer_delay = 0.011  # Delay of the magnetometer" in shown
+        assert "[s]." in shown
 
 
 def test_a_name_means_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -100,7 +100,8 @@ def test_json_has_the_whole_schedule():
     assert data["costs"][CONSTANT]["held_out_worst"] == 52.5
     assert data["costs"][CONSTANT]["numbers"] == {"gain": [27.5]}
     (warning,) = data["warnings"]
-    assert "NOT FINITE" in warning and "1 of 2 training scenarios" in warning
+    assert "NOT FINITE" in warning
+    assert "1 of 2 training scenarios" in warning
     assert (data["sensors"], data["held_out_recordings"]) == (None, [])
     assert max(map(len, text.splitlines())) < 4000, "rows of numbers on lines of their own"
 

@@ -12,6 +12,7 @@ from helpers.experiments import tiny
 from helpers.messages import assert_states
 from helpers.recordings import bench, inertial_motion, motion
 from helpers.recordings import short_parts as short_parts
+from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa.cli.command import main
@@ -113,7 +114,10 @@ def test_the_command_writes_what_it_found(
     folder = out / "bench_0.5_1.5"
     assert {path.name for path in folder.iterdir()} == {
         "attitude_errors.png",
+        "attitude.png",
+        "biases.png",
         "position.png",  # no figure of the gain, which is constant
+        "estimates.csv",
         "estimated.tum",
         "true.tum",
     }
@@ -121,6 +125,10 @@ def test_the_command_writes_what_it_found(
     true, estimated = (np.loadtxt(folder / name)[:, 1:4] for name in ("true.tum", "estimated.tum"))
     rmse = posegsa.rmse(posegsa.position_errors(estimated, true))
     assert rmse == pytest.approx(data["rmse"]["judged"]["position"], rel=1e-6)
+    table = np.genfromtxt(folder / "estimates.csv", delimiter=",", names=True)
+    np.testing.assert_array_equal(table["time_ns"], recording.stamps[50:150])
+    places = np.stack([table[f"{axis}_m"] for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(places, estimated, atol=1e-8)
     assert main([*command, "--out", str(out)]) == 2
     assert "already" in capsys.readouterr().err
     assert main([*command, "--overwrite"]) == 2
@@ -128,6 +136,46 @@ def test_the_command_writes_what_it_found(
         main([*command, "--window", "3:1"])
     with pytest.raises(RunFolderError, match="already"):
         posegsa.replay(result, recording, out=out)
+
+
+@pytest.mark.parametrize("origin", [1_700_000_000_123_456_789, 1000.5])
+def test_estimates_have_the_stamps_of_the_log(origin: float, tmp_path: Path) -> None:
+    given = inertial_motion(1.0, 2.0)
+    steps = np.arange(len(given["gyr"]))
+    time = origin + (10_000_000 * steps if isinstance(origin, int) else 0.01 * steps)
+    log = posegsa.imu(given["gyr"], given["acc"], given["mag"], time=time, name="log")
+    log.save(tmp_path / "log.npz")
+    again = posegsa.as_imu(Recording.read(tmp_path / "log.npz"))
+    late = log.window(1.0)
+    for one, stamps in ((log, time), (again, time), (late, time[100:])):
+        assert one.stamps.dtype == time.dtype
+        np.testing.assert_allclose(one.stamps - origin, stamps - origin, rtol=0, atol=1e-9)
+    (replay,) = posegsa.replay("imu", late, out=tmp_path / "out")
+    names = {path.name for path in (tmp_path / "out" / "log_1").iterdir()}
+    assert names == {"estimates.csv", "attitude.png", "biases.png"}
+    head, *lines = (tmp_path / "out" / "log_1" / "estimates.csv").read_text().splitlines()
+    unit = "ns" if isinstance(origin, int) else "s"
+    assert head == (
+        f"time_{unit},qw,qx,qy,qz,roll_deg,pitch_deg,yaw_deg,bias_wx_rad_s,bias_wy_rad_s,"
+        "bias_wz_rad_s,heading_sigma_deg,inclination_sigma_deg"
+    )
+    if isinstance(origin, int):
+        assert [int(line.split(",")[0]) for line in lines] == time[100:].tolist()
+    table = np.array([line.split(",")[1:] for line in lines], float)
+    estimates = replay.estimates
+    R = Rotation.from_quat(table[:, :4], scalar_first=True)
+    np.testing.assert_allclose(R.as_matrix(), estimates.rotation, atol=1e-6)
+    turned = Rotation.from_euler("ZYX", table[:, 6:3:-1], degrees=True)
+    np.testing.assert_allclose(turned.as_matrix(), estimates.rotation, atol=1e-6)
+    np.testing.assert_allclose(table[:, 7:10], estimates.bias[:, :3], rtol=1e-6)
+    state = posegsa.PoseFilter("imu", rotation=late.initial().rotation)
+    m = late.measurements
+    for k in range(50):
+        measured = {"time_step": 0.01, "gyr": m.angular_velocity[k], "acc": m.vectors[k, 0]}
+        state.update(**measured, mag=m.vectors[k, 1])
+    own = state.own_state
+    expected = np.degrees([own.heading_deviation, own.inclination_deviation])
+    np.testing.assert_allclose(table[50, 10:], expected, rtol=1e-4)
 
 
 def test_what_a_file_lacks_is_bridged_by_name(

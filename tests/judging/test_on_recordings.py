@@ -5,10 +5,12 @@ import re
 import numpy as np
 import pytest
 
+from posegsa.judging.evaluation import IMU_AS_IT_COMES
 from posegsa.judging.on_recordings import OnRecordings, RecordingScore, losses
 from posegsa.judging.verdict import Loss
 from posegsa.judging.verdict import verdict as sentence
 from posegsa.recordings.accuracy import Blocks, Rmse
+from posegsa.recordings.broad import GYROSCOPE
 
 
 def scores(total: float, position: float | None) -> list[RecordingScore]:
@@ -64,6 +66,42 @@ def test_where_none_is_better_it_says_so() -> None:
 
 def test_a_filter_that_is_lost_loses() -> None:
     assert verdict((90.0, np.inf), EKF=(0.3, 0.01)).startswith("Best on what was held out: EKF")
+
+
+def test_what_is_true_of_all_recordings_is_said_once() -> None:
+    (one,) = scores(0.2, None)
+    same, own = {"gyroscope": "measured"}, {"velocity": "simulated"}
+    each = [one._replace(name="a", sources=same), one._replace(name="b", sources=same | own)]
+    told = OnRecordings(training=each[:1], held_out=each[1:]).origins().splitlines()
+    assert told == ["gyroscope: measured", "b: velocity: simulated"]
+    alone = OnRecordings(training=[], held_out=each[:1]).origins()
+    assert alone == "a: gyroscope: measured"
+
+
+def test_a_phase_that_is_all_that_is_judged_has_no_row() -> None:
+    (one,) = scores(0.2, None)
+    still = one.errors["judged"]._replace(total=0.1)
+    each = {"judged": one.errors["judged"], "rest": still, "motion": one.errors["judged"]}
+    judged = OnRecordings(training=[], held_out=[one._replace(errors=each)])
+    assert [row[2] for row in judged.rows()] == ["phase", "judged: motion", "rest"]
+
+
+def test_that_shipped_numbers_were_chosen_on_broad_is_said() -> None:
+    (one,) = scores(0.2, None)
+    (other,) = scores(0.4, None)
+    broad = one._replace(sources={"angular velocity": GYROSCOPE})
+    for own, told in ((one, False), (broad, True)):
+        beside = {IMU_AS_IT_COMES: [other]}
+        judged = OnRecordings(
+            training=[], held_out=[own], baselines=beside, baselines_in_training=beside
+        )
+        assert ("chosen on trials of BROAD" in judged.verdict()) == told
+        heads = [row[0] for row in judged.rows()[1:]]
+        assert heads == [
+            "attitude filter as it comes, training",
+            "held out",
+            "attitude filter as it comes, held out",
+        ]
 
 
 def test_without_other_filters_there_is_no_verdict() -> None:

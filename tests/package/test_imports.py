@@ -44,7 +44,6 @@ def command(*arguments: str) -> str:
         ["--help"],
         ["--version"],
         ["configs"],
-        ["config", "show", "quick"],
         ["config", "show", "no such"],
         ["no such"],
         *(

@@ -19,6 +19,6 @@ def test_the_lines_run() -> None:
 
 def test_numbers_that_it_names_are_the_filters() -> None:
     named = {name for name in re.findall(r"`(\w+)`", TEXT) if "_" in name or name == "velocity"}
-    others = {"gyroscope_interval", "run_filter", "field_belief", "held_out"}
+    others = {"gyroscope_interval", "run_filter", "field_belief", "held_out", "longest_gap"}
     assert named - others <= set(AttitudeNumbers._fields)
     assert {"magnetometer_delay", "iron_time", "field_tolerance", "velocity"} <= named

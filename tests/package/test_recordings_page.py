@@ -50,7 +50,7 @@ def test_its_commands_run_on_the_data_of_the_examples(
         given = command.replace("filter.h", str(tmp_path / "filter.h")).split()
         assert main(given) == 0, command
     out = capsys.readouterr().out
-    imu = re.search(r"^broad +judged +\d+ +([\d.]+)", out, re.MULTILINE)
+    imu = re.search(r"^broad +judged: motion +\d+ +([\d.]+)", out, re.MULTILINE)
     assert imu is not None
     assert f"the second of {imu[1]}°" in TEXT
     assert (tmp_path / "filter.h").exists()

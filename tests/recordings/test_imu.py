@@ -10,6 +10,7 @@ from helpers.recordings import ENU_TO, RATE, inertial_motion
 
 import posegsa
 from posegsa.errors import MeasurementError, RecordingError
+from posegsa.recordings.bridging import gaps_in
 from posegsa.recordings.imu import ImuRecording, as_read_by
 from posegsa.recordings.recording import Recording
 
@@ -86,17 +87,60 @@ def test_other_filters_read_a_recording_as_it_is() -> None:
     assert as_read_by("imu", read) is read
 
 
-def test_a_gap_is_bridged_before_anything_is_made() -> None:
+def test_a_gap_stays_a_pause_unless_it_is_filled() -> None:
     given = inertial_motion()
+    del given["rate"]
     time = np.arange(900) / RATE
     time[400:] += 0.2
-    del given["rate"]
-    with pytest.raises(MeasurementError, match="bridge"):
-        posegsa.imu(**given, time=time)
+    given["gyr"][700:702] = np.nan
+    given["gyr"][0] = np.nan
+    words = r"3 samples.*\(NaN\), the first at 0: dropped"
+    with pytest.warns(posegsa.PosegsaWarning, match=words):
+        kept = posegsa.imu(**given, time=time)
+    seen = np.delete(np.arange(900), [0, 700, 701])
+    np.testing.assert_allclose(kept.stamps, time[seen])
+    assert kept.time[0] == 0
+    np.testing.assert_array_equal(kept.sensors["accelerometer"], given["acc"][seen])
+    assert_states(kept.describe(), "1 gap", "0.21 s", "3.98 s")
+    with pytest.raises(MeasurementError, match=r"gap.*longest_gap = 0\.1 s"):
+        posegsa.imu(**given, time=time, bridge="keep", longest_gap=0.1)
+    with pytest.raises(MeasurementError, match=r"NaN.*bridge"):
+        posegsa.imu(**given, time=time, bridge="refuse")
+    # Stamps that go back need a policy.
+    back = time.copy()
+    back[10] = back[8]
+    with pytest.raises(MeasurementError, match=r"1 stamp.*keep"):
+        posegsa.imu(**given, time=back)
+    with pytest.warns(posegsa.PosegsaWarning, match="1 sample dropped"):
+        assert posegsa.imu(**given, time=back, bridge="keep").samples == 896
+    # Filters that would turn on with the last velocity refuse it.
+    for kind in ("observer", "kalman"):
+        with pytest.raises(MeasurementError, match=r"1 gap.*hold"):
+            as_read_by(kind, kept)
+    given["gyr"][0] = 0.0
     with pytest.warns(posegsa.PosegsaWarning, match="gap"):
         recording = posegsa.imu(**given, time=time, bridge="interpolate")
     assert recording.samples == 920
+    assert not gaps_in(recording.time)[0].size
     assert (recording.measurements.vector_weights[401:419, 0] == 0).all()
+
+
+def test_the_heading_is_right_after_a_gap(tmp_path: Path) -> None:
+    """The body has turned by 2 rad in it, which no sensor has seen."""
+    given = inertial_motion(2.0, 20.0)
+    seen = (np.arange(2200) < 1000) | (np.arange(2200) >= 1400)
+    rows = np.column_stack([np.arange(2200) / RATE, given["gyr"], given["acc"], given["mag"]])
+    path = tmp_path / "log.csv"
+    head = "time,wx,wy,wz,ax,ay,az,mx,my,mz"
+    np.savetxt(path, rows[seen], delimiter=",", header=head, comments="")
+    (replay,) = posegsa.replay("imu", Recording.read(path))
+    off = posegsa.attitude_errors(replay.estimates.rotation, given["truth_rotation"][seen])
+    assert posegsa.rmse(off.heading[1100:]) < 1.0
+    with pytest.warns(posegsa.PosegsaWarning, match="bridged by 400 samples"):
+        filled = Recording.read(path, bridge="hold", longest_gap=10.0)
+    (replay,) = posegsa.replay("imu", filled)
+    off = posegsa.attitude_errors(replay.estimates.rotation, given["truth_rotation"])
+    assert posegsa.rmse(off.heading[1500:]) > 3.0
 
 
 @pytest.mark.parametrize(
@@ -107,7 +151,7 @@ def test_a_gap_is_bridged_before_anything_is_made() -> None:
         ({"time": np.arange(900)}, r"rate, time:.*one of the two"),
         ({"rate": None}, r"rate, time:.*one of the two"),
         ({"acc": np.zeros((5, 3))}, "acc: must have"),
-        ({"gyr": np.full((900, 3), np.nan)}, "gyr: 900 samples"),
+        ({"gyr": np.full((900, 3), np.nan)}, "gyr: all 900 samples are NaN"),
         ({"mag": np.zeros((900, 3))}, "mag: all 900 samples are missing"),
         ({"mag": np.full((900, 3), np.nan)}, "mag: all 900 samples are missing"),
     ],
@@ -147,7 +191,7 @@ def test_a_recording_without_an_accelerometer_is_refused() -> None:
         ({"gyr": np.zeros((50, 2))}, r"^gyr:.* \(N, 3\)"),
         ({"gyr": "fast"}, r"^gyr:.*array of numbers"),
         ({"gyr": np.full((50, 3), np.inf)}, r"^gyr:.*infinite"),
-        ({"gyr": np.full((50, 3), np.nan)}, "^gyr: 50 samples without velocities"),
+        ({"gyr": np.full((50, 3), np.nan)}, "^gyr: all 50 samples are NaN"),
         ({"acc": np.zeros((40, 3))}, r"^acc:.* \(50, 3\).* \(40, 3\)"),
         ({"acc": None}, r"^acc:.* \(50, 3\)"),
         ({"mag": np.zeros((50, 1))}, r"^mag:.* \(50, 3\).* \(50, 1\)"),

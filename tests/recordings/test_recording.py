@@ -166,7 +166,7 @@ def test_nothing_is_bridged_unless_it_is_asked_for() -> None:
         (lambda g: g.update(time=4 * g["time"]), "no time stamp"),
         (lambda g: g["angular_velocity"].__setitem__(slice(100, 250), np.nan), "missing for 1.51"),
         (lambda g: g["angular_velocity"].__setitem__(slice(0, 150), np.nan), "missing for 1.5 s"),
-        (lambda g: g["angular_velocity"].fill(np.nan), "no sample has them"),
+        (lambda g: g["angular_velocity"].fill(np.nan), "all 400 samples are NaN"),
     ],
 )
 def test_what_is_too_long_to_bridge_is_refused(spoil: Any, words: str) -> None:
