@@ -2,7 +2,7 @@
 
 import argparse
 
-from posegsa.cli.options import RECORDING, add_bridge, add_window, read
+from posegsa.cli.options import RECORDING, add_bridge, add_frame, add_window, read
 from posegsa.errors import MeasurementError
 from posegsa.progress import say
 
@@ -21,6 +21,7 @@ def add(commands) -> None:
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
     add_bridge(parser)
+    add_frame(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for a figure of each recording")
     parser.set_defaults(command=run)
 
@@ -34,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     found, refused = [], False
     for path in options.recordings:
         try:
-            (one,) = read([path], options.window, *bridged, landmark_outlier="off")
+            (one,) = read([path], options.window, *bridged, options.frame, landmark_outlier="off")
             found.append(check(one))
         except MeasurementError as error:  # the others are checked nevertheless
             say(f"posegsa: {error}")

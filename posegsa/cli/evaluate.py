@@ -11,7 +11,7 @@ from posegsa.cli.options import (
     add_quiet,
     add_run,
     add_window,
-    in_frame,
+    as_read_with,
     is_configuration,
     read,
     result_of,
@@ -49,7 +49,7 @@ def add(commands) -> None:
     group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
     add_window(group)
     add_bridge(group)
-    add_frame(group)
+    add_frame(group, "its own, or that of the run, or ENU")
     words = (
         "a recording that the run was tuned on: constant gains and the Kalman filter are tuned on "
         "it too (without any, both are left out)"
@@ -113,11 +113,11 @@ def _judged(options: argparse.Namespace, result: "Result") -> "Result":
         for warning in found.warnings():
             print(f"  warning: {warning}")
         return found
-    bridge = options.bridge, options.longest_gap
-    recordings = read(options.recording, options.window, *bridge)
-    training = read(options.training or [], options.training_window, *bridge)
+    how = options.bridge, options.longest_gap, options.frame, result.frame
+    recordings = read(options.recording, options.window, *how)
+    training = read(options.training or [], options.training_window, *how)
     recordings, training = (
-        in_frame(options, result.filter.kind, each) for each in (recordings, training)
+        as_read_with(options, result.filter.kind, each) for each in (recordings, training)
     )
     for one in (*training, *recordings):
         print(one.describe())

@@ -9,7 +9,7 @@ from posegsa.cli.options import (
     add_frame,
     add_run,
     add_window,
-    in_frame,
+    as_read_with,
     read,
     result_of,
     warn_of_mistakes,
@@ -32,7 +32,7 @@ def add(commands) -> None:
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
     add_bridge(parser)
-    add_frame(parser)
+    add_frame(parser, "its own, or that of the run, or ENU")
     parser.add_argument("--out", metavar="DIR", help="folder to write to")
     add_figures(parser)
     parser.add_argument(
@@ -58,11 +58,12 @@ def run(options: argparse.Namespace) -> int:
         refused.append(name)
 
     recordings = []
+    how = options.bridge, options.longest_gap, options.frame, result.frame
     for path in options.recordings:
         try:
-            each = read([path], options.window, options.bridge, options.longest_gap)
-            warn_of_mistakes(each, options.frame)
-            recordings += in_frame(options, result.filter.kind, each)
+            each = read([path], options.window, *how)
+            warn_of_mistakes(each)
+            recordings += as_read_with(options, result.filter.kind, each)
         except MeasurementError as error:  # the filter runs on the others all the same
             left_out(path, error)
     replays = replaying.replay(

@@ -13,6 +13,7 @@ from posegsa.arguments import MAX_INTEGER
 from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.description import Description, StoredFilter
 from posegsa.judging.metrics import POSITION_WORDS, Bands, Metrics, metrics_of
+from posegsa.recordings.frames import Frame
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 from posegsa.words import counted, text_table
@@ -62,9 +63,9 @@ ADVICE = {
     AS_CONFIGURED: "use the configuration itself, without a search",
     NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
     KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
-    IMU_AS_IT_COMES: "`posegsa replay imu`",
+    IMU_AS_IT_COMES: "`posegsa replay imu{frame}`",
 }
-"""How to get one of the filters that are compared with a tuned one."""
+"""How to get one of the filters that are compared with a tuned one; {frame} is `frame_option`."""
 BAND_POINTS = 300
 """Maximum number of times at which error bands are stored over a whole run, evenly spaced."""
 EARLY, EARLY_POINTS = 1.0, 100
@@ -112,9 +113,19 @@ def called(name: str) -> str:
     return words.get(name, f"the {name}")
 
 
-def how_to_take(name: str) -> str:
-    """How to get the first of several better filters, in words; "" if there is no short way."""
-    return f" To take the first of them: {ADVICE[name]}." if name in ADVICE else ""
+def how_to_take(name: str, frame: Frame | None = None) -> str:
+    """How to get the first of several better filters, in words; "" if there is no short way.
+
+    `frame` is the inertial frame of the recordings, if they are of inertial sensors.
+    """
+    if name not in ADVICE:
+        return ""
+    return f" To take the first of them: {ADVICE[name].format(frame=frame_option(frame))}."
+
+
+def frame_option(frame: Frame | None) -> str:
+    """The option of a command for an inertial frame; "" for the default."""
+    return "" if frame in (None, "ENU") else f" --frame {frame}"
 
 
 def own_name(found: Description) -> str:

@@ -13,12 +13,13 @@ from posegsa.errors import RecordingError
 from posegsa.filters.base import sensors_of
 from posegsa.filters.rollout import Estimates
 from posegsa.judging.description import Description, described_filter
-from posegsa.judging.evaluation import CONSTANT, how_to_take
+from posegsa.judging.evaluation import CONSTANT, frame_option, how_to_take
 from posegsa.judging.known_sensors import StoredSensors
 from posegsa.judging.replayed import HEADS, error_rows, replayed_on, with_heads
 from posegsa.recordings.accuracy import AnyNumber, Blocks, Rmse
 from posegsa.recordings.fingerprint import fingerprint
-from posegsa.recordings.imu import as_read_by
+from posegsa.recordings.frames import Frame
+from posegsa.recordings.imu import as_read_by, frame_of
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter
 from posegsa.search.configured_filters import OwnFilter
@@ -102,6 +103,11 @@ class OnRecordings:
     """References and weights of the sensors of the training recordings, for exports and streams;
     None if these differ between recordings, or there are none."""
 
+    @property
+    def frame(self) -> Frame | None:
+        """The inertial frame of the sensors, if they are those of `imu`; None if not."""
+        return None if self.sensors is None else frame_of(np.array(self.sensors.vectors))
+
     def text(self, simulated_share: float) -> str:
         """A short text; it always says whether recordings were held out.
 
@@ -140,14 +146,17 @@ class OnRecordings:
             least = min(each.share for each in found.values())
             if least < 1 / MATTERS:
                 parts = [f"{each} in {of}" for of, each in found.items()]
-                better.append((least, f"{name} ({', '.join(parts)})", how_to_take(name)))
+                take = how_to_take(name, self.frame)
+                better.append((least, f"{name} ({', '.join(parts)})", take))
         position = "" if own.position is None else f" and {100 * own.position:.3g} cm"
         head = f"On what was held out the filter errs by {own.total:.3g} deg{position}. "
         beside = ", ".join(self.baselines)
         if not better:
+            # A run knows the frame that it was tuned in, a configuration does not.
+            frame = "" if self.training else frame_option(self.frame)
             return (
                 f"{head}No other filter ({beside}) errs less, in attitude or in position: take "
-                "it, `posegsa export RUN --format c` or `posegsa replay RUN FILE`."
+                f"it, `posegsa export RUN --format c{frame}` or `posegsa replay RUN FILE{frame}`."
             )
         better.sort()
         listed = "; ".join(words for _, words, _ in better)

@@ -17,7 +17,7 @@ from posegsa.arguments import check_number, check_type
 from posegsa.errors import RecordingError
 from posegsa.filters.attitude import LONGEST_PAUSE
 from posegsa.model.measurements import finite_array, finite_rows
-from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame
+from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame, check_frame
 from posegsa.recordings.imu_advice import advice
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import to_east_north_up
@@ -30,7 +30,7 @@ class ImuRecording(Recording):
     """A recording of an inertial sensor, made by `imu` or `as_imu`."""
 
     frame: Frame = "ENU"
-    """The inertial frame."""
+    """The inertial frame, of the references too."""
 
     def describe(self) -> str:
         """A text for people, with advice where the signals call for it."""
@@ -104,8 +104,7 @@ def as_imu(recording: Recording, *, frame: Frame | None = None) -> ImuRecording:
     Args:
         recording: with "accelerometer" and, for a heading, "magnetometer" in its `sensors`, as from
             `Recording.from_broad` and `from_csv`.
-        frame: as in `imu`; by default that of a recording that `imu` made and `save` wrote, or
-            "ENU".
+        frame: as in `imu`; by default that of the recording (`Recording.frame`), or "ENU".
 
     Raises:
         RecordingError: as in `imu`, or the recording has no accelerometer.
@@ -120,7 +119,7 @@ def as_imu(recording: Recording, *, frame: Frame | None = None) -> ImuRecording:
     return _made(
         np.asarray(recording.measurements.angular_velocity),
         recording.sensors,
-        _frame_of(recording) if frame is None else frame,
+        frame or recording.frame or "ENU",
         name=recording.name,
         time_step=recording.measurements.time_step,
         truth_rotation=None if truth is None else truth.rotation,
@@ -148,8 +147,7 @@ def _made(
     **more: Any,
 ) -> ImuRecording:
     """A checked recording of signals (K, 3), with further arguments of `Recording.from_arrays`."""
-    if frame not in UP:
-        raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
+    check_frame(frame)
     # The filter itself knows for how long a slow sensor's sample stands.
     more["weights_by_rate"] = False
     acc = sensors["accelerometer"]
@@ -159,6 +157,7 @@ def _made(
         vectors=np.stack([acc, mag], axis=1),
         vector_references=references(frame),
         sensors=sensors,
+        frame=frame,
         sources=sources,
         **more,
     )
@@ -172,23 +171,25 @@ def _made(
     own = {each.name: getattr(found, each.name) for each in fields(found)}
     own["start"] = Start(_first_attitude(acc, mag, frame), np.zeros(3), np.zeros(6))
     own["sources"] = found.sources | _in_words(acc, mag)
-    return ImuRecording(**own, frame=frame)
+    return ImuRecording(**own)
 
 
-def as_read_by(kind: str, recording: Recording) -> Recording:
-    """A recording as a kind of filter reads it: "imu" reads the raw signals of inertial sensors."""
+def as_read_by(kind: str, recording: Recording, usual: Frame | None = None) -> Recording:
+    """A recording as a kind of filter reads it: "imu" reads the raw signals of inertial sensors.
+
+    `usual` is the inertial frame of a recording that states none; by default "ENU".
+    """
     if kind != "imu" or isinstance(recording, ImuRecording):
         return recording
-    return as_imu(recording)
+    return as_imu(recording, frame=recording.frame or usual)
 
 
-def _frame_of(recording: Recording) -> Frame:
-    """The frame that the references of a recording are in, if they are those of `imu`."""
-    known = np.asarray(recording.measurements.vector_references)
+def frame_of(known: np.ndarray) -> Frame | None:
+    """The frame whose `references` are known (n, 3); None if it is none."""
     for frame in UP:
-        if np.array_equal(known[0], references(frame)):
+        if np.array_equal(known, references(frame)):
             return frame
-    return "ENU"
+    return None
 
 
 def _first_attitude(acc: np.ndarray, mag: np.ndarray | None, frame: Frame) -> np.ndarray:

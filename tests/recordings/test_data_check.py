@@ -14,6 +14,7 @@ import posegsa
 from posegsa.errors import ArgumentError, RecordingError
 from posegsa.figures.check_figures import plot_check
 from posegsa.recordings.data_check import check, found_noises
+from posegsa.recordings.frames import UP, Frame
 from posegsa.recordings.recording import Recording
 
 COUNT, STEP = 1500, 0.01
@@ -332,6 +333,37 @@ def test_raw_inertial_sensors_are_compared_too() -> None:
     turned = given | {"mag": given["mag"] * [1, -1, 1]}
     (words,) = check(posegsa.imu(**turned)).findings
     assert "magnetometer: the sign of its y axis looks wrong" in words
+
+
+@pytest.mark.parametrize("frame", UP)
+def test_a_truth_in_another_frame_than_stated_is_named(frame: Frame) -> None:
+    given = inertial_motion(rest=2, moving=20, frame=frame)
+    for stated in UP:
+        findings = check(posegsa.imu(**given, frame=stated)).findings
+        if stated == frame:
+            assert findings == []
+        else:
+            (words,) = findings
+            assert f"looks like {frame}, not {stated}: --frame {frame}," in words
+
+
+def test_an_accelerometer_of_the_wrong_sign_is_not_taken_for_another_frame() -> None:
+    given = inertial_motion(rest=2, moving=20)
+    (words,) = check(posegsa.imu(**given | {"acc": -given["acc"]})).findings
+    assert "accelerometer and its reference look opposite" in words
+    # Without a field both look the same, and both are said.
+    del given["mag"]
+    (words,) = check(posegsa.imu(**given | {"acc": -given["acc"]})).findings
+    assert re.search(r"z axis points down \(NED\): --frame NED.*change its sign", words)
+
+
+def test_a_field_off_north_is_no_other_frame() -> None:
+    """By declination, or because the truth has a heading of its own."""
+    given = inertial_motion(rest=2, moving=20)
+    for degrees in (15, 45, 90, 180):
+        turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+        turned = given | {"truth_rotation": turn @ given["truth_rotation"]}
+        assert check(posegsa.imu(**turned)).findings == []
 
 
 def test_a_body_that_hardly_moves_gives_no_finding() -> None:
