@@ -6,7 +6,8 @@ Such a recording has no position: it is attitude only.
 """
 
 import math
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -14,8 +15,9 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_number, check_type
-from posegsa.errors import RecordingError
+from posegsa.errors import PosegsaWarning, RecordingError
 from posegsa.filters.attitude import LONGEST_PAUSE
+from posegsa.model import limits
 from posegsa.model.measurements import finite_array, finite_rows
 from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame, check_frame
 from posegsa.recordings.imu_advice import advice
@@ -144,10 +146,12 @@ def _made(
     frame: Frame,
     *,
     sources: Mapping[str, str],
+    notes: Sequence[str] = (),
     **more: Any,
 ) -> ImuRecording:
     """A checked recording of signals (K, 3), with further arguments of `Recording.from_arrays`."""
     check_frame(frame)
+    sensors, wild = _without_wild(sensors)
     # The filter itself knows for how long a slow sensor's sample stands.
     more["weights_by_rate"] = False
     acc = sensors["accelerometer"]
@@ -159,6 +163,7 @@ def _made(
         sensors=sensors,
         frame=frame,
         sources=sources,
+        notes=(*notes, *wild),
         **more,
     )
     if found.time_step > LONGEST_PAUSE:
@@ -171,6 +176,8 @@ def _made(
     own = {each.name: getattr(found, each.name) for each in fields(found)}
     own["start"] = Start(_first_attitude(acc, mag, frame), np.zeros(3), np.zeros(6))
     own["sources"] = found.sources | _in_words(acc, mag)
+    if wild:
+        warnings.warn(f"{found.name}: {'; '.join(wild)}", PosegsaWarning, stacklevel=3)
     return ImuRecording(**own)
 
 
@@ -193,37 +200,54 @@ def frame_of(known: np.ndarray) -> Frame | None:
 
 
 def _first_attitude(acc: np.ndarray, mag: np.ndarray | None, frame: Frame) -> np.ndarray:
-    """R (3, 3), body to inertial, of the first sample of both sensors.
+    """R (3, 3), body to inertial, of the first samples of both sensors that are not parallel.
 
     Without a magnetometer the body's x axis, or its y axis where x is steep, points east.
     """
-    up = _first("acc", acc)
-    up = up / np.linalg.norm(up)
+    first = _known("acc", acc)
+    up = acc[first[0]] / np.linalg.norm(acc[first[0]])
     if mag is None:
         field = np.cross(up, np.eye(3)[0 if abs(up[0]) < math.sqrt(0.5) else 1])
+        east = np.cross(field, up)
     else:
-        field = _first("mag", mag)
-    east = np.cross(field, up)
-    if not np.linalg.norm(east) > 1e-3 * np.linalg.norm(field):
-        raise RecordingError(
-            "mag: is parallel to acc at first, so that there is no heading in it; allowed: a field "
-            "that is not, or mag=None"
-        )
+        seen = _known("mag", mag)
+        last = np.maximum(np.searchsorted(first, seen, side="right") - 1, 0)
+        for before, at in zip(first[last], seen, strict=True):  # nearly always the first one
+            up = acc[before] / np.linalg.norm(acc[before])
+            east = np.cross(mag[at] / np.linalg.norm(mag[at]), up)
+            if np.linalg.norm(east) > 1e-3:
+                break
+        else:
+            raise RecordingError(
+                "mag: is parallel to acc in all samples, so that there is no heading in it; "
+                "allowed: a field that is not, or mag=None"
+            )
     east = east / np.linalg.norm(east)
     to_axes = np.stack([east, np.cross(up, east), up])
     return to_east_north_up(frame).T @ to_axes
 
 
-def _first(name: str, values: np.ndarray) -> np.ndarray:
-    """The first value (3,) that is finite and not zero."""
-    for first in range(0, len(values), 1000):  # it is nearly always among the first
-        some = values[first : first + 1000]
-        known = np.isfinite(some).all(axis=1) & some.any(axis=1)
-        if known.any():
-            return some[np.argmax(known)]
-    raise RecordingError(
-        f"{name}: all {len(values)} samples are missing or zero; allowed: some that are not"
-    )
+def _known(name: str, values: np.ndarray) -> np.ndarray:
+    """Indices of the values (K, 3) that are finite and not zero."""
+    known = np.flatnonzero(finite_rows(values) & values.any(axis=1))
+    if not known.size:
+        raise RecordingError(
+            f"{name}: all {len(values)} samples are missing or zero; allowed: some that are not"
+        )
+    return known
+
+
+def _without_wild(sensors: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Signals (K, 3) with NaN where one is infinite or beyond all sensors, and notes of that."""
+    found, notes = dict(sensors), []
+    for name, signal in sensors.items():
+        wild = np.abs(signal) > limits.VECTOR.high
+        if wild.any():
+            rows = wild.any(axis=1)
+            found[name] = np.where(rows[:, None], math.nan, signal)
+            count = f"{int(rows.sum())} of {len(signal)} samples"
+            notes.append(f"{name}: {count} left out, beyond {limits.VECTOR.high:g} or infinite")
+    return found, notes
 
 
 def _in_words(acc: np.ndarray, mag: np.ndarray | None) -> dict[str, str]:
