@@ -28,14 +28,13 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Check recordings and show what was found."""
-    from posegsa.recordings.data_check import check
-    from posegsa.saving.check_files import write_checks
-
     bridged = options.bridge, options.longest_gap
     found, refused = [], False
     for path in options.recordings:
         try:
             (one,) = read([path], options.window, *bridged, options.frame, landmark_outlier="off")
+            from posegsa.recordings.data_check import check  # slow, as what follows
+
             found.append(check(one))
         except MeasurementError as error:  # the others are checked nevertheless
             say(f"posegsa: {error}")
@@ -44,6 +43,8 @@ def run(options: argparse.Namespace) -> int:
         between = "\n" if len(found) > 1 else ""
         print(f"{between}{found[-1].text()}", flush=True)
     if options.out is not None and found:
+        from posegsa.saving.check_files import write_checks
+
         write_checks(found, options.out)
         print(f"\nWritten to {options.out}")
     if refused:

@@ -12,6 +12,7 @@ from posegsa.cli.options import (
     add_run,
     add_window,
     as_read_with,
+    check_there,
     is_configuration,
     read,
     result_of,
@@ -62,10 +63,10 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge a finished run again."""
+    _check(options)
     from posegsa.saving.folder import locked_folder
     from posegsa.saving.result_files import run_figures, write_result, written
 
-    _check(options)
     run_figures(options.figures)
     result = result_of(options)  # before `locked_folder`, which would make a missing folder
     if is_configuration(options.run):
@@ -94,6 +95,7 @@ def _check(options: argparse.Namespace) -> None:
         raise ArgumentError(f"--{name.replace('_', '-')}; allowed: {allowed}")
     if options.training_window is not None and options.training is None:
         raise ArgumentError("--training-window; allowed: with --training")
+    check_there([*(options.recording or []), *(options.training or [])])
 
 
 def _judged(options: argparse.Namespace, result: "Result") -> "Result":

@@ -1,6 +1,7 @@
 """`posegsa replay`."""
 
 import argparse
+from pathlib import Path
 
 from posegsa.cli.options import (
     RECORDING,
@@ -10,6 +11,7 @@ from posegsa.cli.options import (
     add_run,
     add_window,
     as_read_with,
+    check_there,
     read,
     result_of,
     warn_of_mistakes,
@@ -43,6 +45,8 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run a filter over recordings and show its errors."""
+    if not any(Path(path).exists() for path in options.recordings):
+        check_there(options.recordings)
     from posegsa import replaying
     from posegsa.judging.replayed import replay_table
 

@@ -241,9 +241,9 @@ def _without_wild(sensors: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarr
     """Signals (K, 3) with NaN where one is infinite or beyond all sensors, and notes of that."""
     found, notes = dict(sensors), []
     for name, signal in sensors.items():
-        wild = np.abs(signal) > limits.VECTOR.high
+        wild = np.asarray(np.abs(signal) > limits.VECTOR.high)
         if wild.any():
-            rows = wild.any(axis=1)
+            rows = np.asarray(wild.any(axis=1))
             found[name] = np.where(rows[:, None], math.nan, signal)
             count = f"{int(rows.sum())} of {len(signal)} samples"
             notes.append(f"{name}: {count} left out, beyond {limits.VECTOR.high:g} or infinite")

@@ -684,6 +684,8 @@ class Recording:
                 ("landmark", self.measurements.landmarks),
             )
         ]
+        if self.sensors and not self.measurements.vectors.shape[1]:
+            counts[0] = ", ".join(self.sensors)
         judged = "no truth" if self.truth is None else f"{100 * np.mean(self.judged):.1f} % judged"
         mode = "attitude only" if self.attitude_only else "pose"
         mode += "" if self.frame is None else f", {self.frame}"

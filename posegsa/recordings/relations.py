@@ -123,19 +123,20 @@ class Quantities:
         return self.known[key][1]
 
 
-def quantities(recording: Recording, *, averaged: bool = True) -> Quantities:
+def quantities(recording: Recording, *, averaged: bool = True, whole: bool = False) -> Quantities:
     """The quantities of a recording, thinned and cut so that comparisons are quick.
 
     Args:
         recording: Any recording.
         averaged: Whether vectors are means over the samples that are left out; otherwise single
             samples, with the noise of a measurement.
+        whole: Whether no part is cut out, however long the recording is.
     """
     m = {name: np.asarray(a, np.float64) for name, a in recording.measurements._asdict().items()}
     count = recording.samples
     step = max(1, int(FASTEST / recording.time_step + 1e-9))
     rows = np.arange(0, count - step + 1, step)
-    if len(rows) > MOST:
+    if len(rows) > MOST and not whole:
         turning = np.linalg.norm(m["angular_velocity"][rows], axis=1)
         parts = np.array_split(rows, math.ceil(len(rows) / PART))
         most = np.argsort([-np.median(turning[p // step]) for p in parts], kind="stable")
