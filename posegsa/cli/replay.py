@@ -45,14 +45,14 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run a filter over recordings and show its errors."""
+    for name in ("overwrite", "figures"):
+        if getattr(options, name) and options.out is None:
+            raise ArgumentError(f"--{name}; allowed: with --out")
     if not any(Path(path).exists() for path in options.recordings):
         check_there(options.recordings)
     from posegsa import replaying
     from posegsa.judging.replayed import replay_table
 
-    for name in ("overwrite", "figures"):
-        if getattr(options, name) and options.out is None:
-            raise ArgumentError(f"--{name}; allowed: with --out")
     result = result_of(options)
     refused = []
 
