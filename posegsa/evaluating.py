@@ -34,7 +34,6 @@ from posegsa.judging.recorded_baselines import judged_beside_baselines
 from posegsa.judging.result import Result
 from posegsa.judging.untuned import always_starts
 from posegsa.progress import shown
-from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.search import memory
 from posegsa.search.drawn_scenarios import scenario_batch
@@ -170,7 +169,5 @@ def _on_recordings(
     if both := {id(one) for one in unseen} & {id(one) for one in seen}:
         name = next(one.name for one in unseen if id(one) in both)
         refuse(f"recordings: {name} is in training too", "recordings that are not")
-    unseen, seen = (
-        [as_read_by(result.filter.kind, one) for one in some] for some in (unseen, seen)
-    )
+    unseen, seen = ([result.as_read(one) for one in some] for some in (unseen, seen))
     return judged_beside_baselines(result, unseen, seen, others, cost)

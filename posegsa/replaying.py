@@ -10,7 +10,6 @@ from posegsa.figures.figure_choice import chosen_figures
 from posegsa.figures.replay_figures import REPLAY_FIGURES
 from posegsa.judging.replayed import Replay, replayed_on
 from posegsa.judging.result import Result
-from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.saving.replay_files import refuse_replays_in, write_replays
 
@@ -57,7 +56,7 @@ def replay(
     ready = []
     for one in each:
         try:
-            read = as_read_by(result.filter.kind, one)
+            read = result.as_read(one)
             read.initial()
         except MeasurementError as error:
             if left_out is None:

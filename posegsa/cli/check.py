@@ -2,7 +2,7 @@
 
 import argparse
 
-from posegsa.cli.options import RECORDING, add_bridge, add_window, read
+from posegsa.cli.options import RECORDING, add_bridge, add_frame, add_window, read
 from posegsa.errors import MeasurementError
 from posegsa.progress import say
 
@@ -21,20 +21,20 @@ def add(commands) -> None:
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
     add_bridge(parser)
+    add_frame(parser)
     parser.add_argument("--out", metavar="DIR", help="folder for a figure of each recording")
     parser.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Check recordings and show what was found."""
-    from posegsa.recordings.data_check import check
-    from posegsa.saving.check_files import write_checks
-
     bridged = options.bridge, options.longest_gap
     found, refused = [], False
     for path in options.recordings:
         try:
-            (one,) = read([path], options.window, *bridged, landmark_outlier="off")
+            (one,) = read([path], options.window, *bridged, options.frame, landmark_outlier="off")
+            from posegsa.recordings.data_check import check  # slow, as what follows
+
             found.append(check(one))
         except MeasurementError as error:  # the others are checked nevertheless
             say(f"posegsa: {error}")
@@ -43,6 +43,8 @@ def run(options: argparse.Namespace) -> int:
         between = "\n" if len(found) > 1 else ""
         print(f"{between}{found[-1].text()}", flush=True)
     if options.out is not None and found:
+        from posegsa.saving.check_files import write_checks
+
         write_checks(found, options.out)
         print(f"\nWritten to {options.out}")
     if refused:

@@ -11,7 +11,8 @@ from posegsa.cli.options import (
     add_quiet,
     add_run,
     add_window,
-    in_frame,
+    as_read_with,
+    check_there,
     is_configuration,
     read,
     result_of,
@@ -49,7 +50,7 @@ def add(commands) -> None:
     group.add_argument("--recording", metavar="FILE", action="append", help=RECORDING)
     add_window(group)
     add_bridge(group)
-    add_frame(group)
+    add_frame(group, "its own, or that of the run, or ENU")
     words = (
         "a recording that the run was tuned on: constant gains and the Kalman filter are tuned on "
         "it too (without any, both are left out)"
@@ -62,10 +63,10 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Judge a finished run again."""
+    _check(options)
     from posegsa.saving.folder import locked_folder
     from posegsa.saving.result_files import run_figures, write_result, written
 
-    _check(options)
     run_figures(options.figures)
     result = result_of(options)  # before `locked_folder`, which would make a missing folder
     if is_configuration(options.run):
@@ -94,6 +95,7 @@ def _check(options: argparse.Namespace) -> None:
         raise ArgumentError(f"--{name.replace('_', '-')}; allowed: {allowed}")
     if options.training_window is not None and options.training is None:
         raise ArgumentError("--training-window; allowed: with --training")
+    check_there([*(options.recording or []), *(options.training or [])])
 
 
 def _judged(options: argparse.Namespace, result: "Result") -> "Result":
@@ -113,11 +115,11 @@ def _judged(options: argparse.Namespace, result: "Result") -> "Result":
         for warning in found.warnings():
             print(f"  warning: {warning}")
         return found
-    bridge = options.bridge, options.longest_gap
-    recordings = read(options.recording, options.window, *bridge)
-    training = read(options.training or [], options.training_window, *bridge)
+    how = options.bridge, options.longest_gap, options.frame, result.frame
+    recordings = read(options.recording, options.window, *how)
+    training = read(options.training or [], options.training_window, *how)
     recordings, training = (
-        in_frame(options, result.filter.kind, each) for each in (recordings, training)
+        as_read_with(options, result.filter.kind, each) for each in (recordings, training)
     )
     for one in (*training, *recordings):
         print(one.describe())

@@ -23,7 +23,7 @@ def add(commands) -> None:
     add_run(parser)
     words = f"the filter knows the vectors and landmarks of {RECORDING}"
     parser.add_argument("--recording", metavar="FILE", help=words)
-    add_frame(parser)
+    add_frame(parser, "that of the recording or the run, or ENU")
     parser.add_argument("--format", choices=tuple(FORMATS), required=True)
     parser.add_argument("--out", metavar="FILE", help="file to write (default: standard output)")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
@@ -33,7 +33,9 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write a finished run in a format."""
-    recording = None if options.recording is None else read([options.recording], None)[0]
+    recording = None
+    if options.recording is not None:
+        (recording,) = read([options.recording], None, frame=options.frame)
     result = result_of(options, recording)
     if options.frame is not None:
         result = result.in_frame(options.frame)

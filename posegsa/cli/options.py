@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from posegsa.config import shipped
-from posegsa.errors import ArgumentError, PosegsaWarning
+from posegsa.errors import ArgumentError, PosegsaWarning, RecordingError
 from posegsa.recordings.frames import UP
 from posegsa.recordings.policies import LONGEST_GAP, Policy
 from posegsa.recordings.readers import IN_WORDS
@@ -190,27 +190,28 @@ def window(text: str) -> tuple[float, float]:
     return found
 
 
-def add_frame(parser: argparse._ActionsContainer) -> None:
-    """--frame, for the filter for inertial sensors."""
-    words = "only with imu: x, y and z of the inertial frame (default: a recording's own, or ENU)"
+def add_frame(parser: argparse._ActionsContainer, default: str = "its own, or ENU") -> None:
+    """--frame, for recordings of inertial sensors; `default` says which frame it is without."""
+    words = (
+        "of recordings of an inertial sensor (imu): x, y and z of the inertial frame (default: "
+        f"{default})"
+    )
     parser.add_argument("--frame", choices=tuple(UP), help=words)
 
 
-def in_frame(
+def as_read_with(
     options: argparse.Namespace, kind: str, recordings: "list[Recording]"
 ) -> "list[Recording]":
-    """Recordings as a kind of filter reads them, in the inertial frame of --frame.
+    """Recordings as a kind of filter reads them.
 
     Raises:
         ArgumentError: --frame is given for a filter that reads no inertial sensors.
     """
-    from posegsa.recordings.imu import as_imu
+    from posegsa.recordings.imu import as_read_by
 
-    if kind == "imu":
-        return [as_imu(each, frame=options.frame) for each in recordings]
-    if options.frame is not None:
+    if options.frame is not None and kind != "imu":
         raise ArgumentError("--frame; allowed: with the filter for inertial sensors (imu)")
-    return recordings
+    return [as_read_by(kind, each) for each in recordings]
 
 
 def add_bridge(parser: argparse._ActionsContainer) -> None:
@@ -231,40 +232,60 @@ def read(
     part: tuple[float, float] | None,
     bridge: Policy | None = None,
     longest_gap: float | None = None,
+    frame: "Frame | None" = None,
+    usual: "Frame | None" = None,
     **more: Any,
 ) -> "list[Recording]":
     """Read recordings, bridge their gaps if asked to, and cut them to a window.
 
-    `more` are further arguments of `Recording.read`.
+    They are in the inertial frame of the option --frame, else in that which they state, else in the
+    `usual` one. `more` are further arguments of `Recording.read`.
 
     Raises:
         ArgumentError: A longest gap is given, but gaps are not bridged.
     """
+    check_there(paths)
     from posegsa.recordings.recording import Recording
 
     if longest_gap is not None and bridge in (None, "refuse"):
         raise ArgumentError("--longest-gap; allowed: with --bridge keep, hold or interpolate")
     stated = {"bridge": bridge, "longest_gap": longest_gap}
     more |= {name: value for name, value in stated.items() if value is not None}
-    found = [Recording.read(path, **more) for path in paths]
+    found = [_in_frame(Recording.read(path, **more), path, frame, usual) for path in paths]
     return found if part is None else [each.window(*part) for each in found]
 
 
-def warn_of_mistakes(recordings: "Iterable[Recording]", frame: "Frame | None" = None) -> None:
-    """Warn of the mistakes that recordings seem to have, before a filter runs on them.
+def check_there(paths: Iterable[str]) -> None:
+    """Raise a RecordingError for a path that does not exist, before anything slow is imported."""
+    for path in paths:
+        if not Path(path).exists():
+            raise RecordingError(f"{path}: there is no such file or folder")
 
-    Args:
-        recordings: As they were read.
-        frame: The inertial frame of their truth, if it is not ENU.
-    """
+
+def _in_frame(
+    one: "Recording", path: str, frame: "Frame | None", usual: "Frame | None"
+) -> "Recording":
+    """A recording in the frame of --frame, else its own, else the usual one, if there is one."""
     from dataclasses import replace
 
+    from posegsa.recordings.checked_files import naming
+    from posegsa.recordings.recording import check_stated
+
+    used = frame or one.frame or usual
+    if used in (None, one.frame):
+        return one
+    with naming(Path(path)):
+        check_stated(used, one.sensors)
+    if one.frame is not None:
+        words = f"{one.name}: --frame {used} instead of the frame that it states, {one.frame}"
+        warnings.warn(words, PosegsaWarning, stacklevel=3)
+    return replace(one, frame=used)
+
+
+def warn_of_mistakes(recordings: "Iterable[Recording]") -> None:
+    """Warn of the mistakes that recordings seem to have, before a filter runs on them."""
     from posegsa.recordings.data_check import check
-    from posegsa.recordings.rotations import to_east_north_up
 
     for one in recordings:
-        if frame is not None and one.truth is not None:  # the check expects east, north, up
-            rotation = to_east_north_up(frame) @ one.truth.rotation
-            one = replace(one, truth=one.truth._replace(rotation=rotation))
         for words in check(one).findings:
             warnings.warn(f"{one.name}: {words}", PosegsaWarning, stacklevel=2)

@@ -1,6 +1,7 @@
 """`posegsa replay`."""
 
 import argparse
+from pathlib import Path
 
 from posegsa.cli.options import (
     RECORDING,
@@ -9,7 +10,8 @@ from posegsa.cli.options import (
     add_frame,
     add_run,
     add_window,
-    in_frame,
+    as_read_with,
+    check_there,
     read,
     result_of,
     warn_of_mistakes,
@@ -33,7 +35,7 @@ def add(commands) -> None:
     parser.add_argument("recordings", metavar="RECORDING", nargs="+", help=RECORDING)
     add_window(parser)
     add_bridge(parser)
-    add_frame(parser)
+    add_frame(parser, "its own, or that of the run, or ENU")
     parser.add_argument("--out", metavar="DIR", help="folder to write to")
     add_figures(parser)
     parser.add_argument(
@@ -44,12 +46,14 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run a filter over recordings and show its errors."""
-    from posegsa import replaying
-    from posegsa.judging.replayed import replay_table
-
     for name in ("overwrite", "figures"):
         if getattr(options, name) and options.out is None:
             raise ArgumentError(f"--{name}; allowed: with --out")
+    if not any(Path(path).exists() for path in options.recordings):
+        check_there(options.recordings)
+    from posegsa import replaying
+    from posegsa.judging.replayed import replay_table
+
     result = result_of(options)
     refused = []
 
@@ -59,11 +63,12 @@ def run(options: argparse.Namespace) -> int:
         refused.append(name)
 
     recordings = []
+    how = options.bridge, options.longest_gap, options.frame, result.frame
     for path in options.recordings:
         try:
-            each = read([path], options.window, options.bridge, options.longest_gap)
-            warn_of_mistakes(each, options.frame)
-            recordings += in_frame(options, result.filter.kind, each)
+            each = read([path], options.window, *how)
+            warn_of_mistakes(each)
+            recordings += as_read_with(options, result.filter.kind, each)
         except MeasurementError as error:  # the filter runs on the others all the same
             left_out(path, error)
     replays = replaying.replay(

@@ -15,7 +15,8 @@ from posegsa.cli.options import (
     add_frame,
     add_search_arguments,
     add_window,
-    in_frame,
+    as_read_with,
+    check_there,
     own_filter,
     read,
     warn_of_mistakes,
@@ -91,6 +92,7 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Tune, judge and print the result."""
+    check_there([*(options.recording or []), *(options.held_out or [])])
     from posegsa import tuning
     from posegsa.saving.result_files import written
 
@@ -98,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
     found = _recordings(options)
     experiment = _experiment(options, found.get("recordings"))
     recorded: dict[str, Any] = {
-        name: in_frame(options, experiment.filter.kind, each) for name, each in found.items()
+        name: as_read_with(options, experiment.filter.kind, each) for name, each in found.items()
     }
     for one in (each for several in recorded.values() for each in several):
         print(one.describe())
@@ -136,16 +138,16 @@ def _recordings(options: argparse.Namespace) -> "dict[str, list[Recording]]":
     if options.held_out_window is not None and options.held_out is None:
         raise ArgumentError("--held-out-window; allowed: with --held-out")
     if options.recording is None:
-        for name in ("held_out", "window", "held_out_window", "bridge", "longest_gap"):
+        for name in ("held_out", "window", "held_out_window", "bridge", "longest_gap", "frame"):
             if getattr(options, name) is not None:
                 raise ArgumentError(f"--{name.replace('_', '-')}; allowed: with --recording")
         return {}
     if options.distributed:
         raise ArgumentError("--recording with --distributed; allowed: one of them")
-    bridge = options.bridge, options.longest_gap
+    how = options.bridge, options.longest_gap, options.frame
     found = {
-        "recordings": read(options.recording, options.window, *bridge),
-        "held_out": read(options.held_out or [], options.held_out_window, *bridge),
+        "recordings": read(options.recording, options.window, *how),
+        "held_out": read(options.held_out or [], options.held_out_window, *how),
     }
     for each in found.values():
         warn_of_mistakes(each)

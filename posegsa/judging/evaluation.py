@@ -14,6 +14,7 @@ from posegsa.filters.rollout import ErrorTrack
 from posegsa.judging.description import Description, StoredFilter
 from posegsa.judging.metrics import POSITION_WORDS, Bands, Metrics, metrics_of
 from posegsa.judging.verdict import Loss, verdict
+from posegsa.recordings.frames import Frame
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 from posegsa.words import counted, text_table
@@ -63,9 +64,9 @@ ADVICE = {
     AS_CONFIGURED: "use the configuration itself, without a search",
     NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
     KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
-    IMU_AS_IT_COMES: "`posegsa export imu --format c` or `posegsa replay imu FILE`",
+    IMU_AS_IT_COMES: "`posegsa export imu --format c{frame}` or `posegsa replay imu FILE{frame}`",
 }
-"""How to get one of the filters that are compared with a tuned one."""
+"""How to get one of the filters that are compared with a tuned one; {frame} is `frame_option`."""
 BAND_POINTS = 300
 """Maximum number of times at which error bands are stored over a whole run, evenly spaced."""
 EARLY, EARLY_POINTS = 1.0, 100
@@ -111,6 +112,19 @@ def called(name: str) -> str:
     """A contender's name within a sentence."""
     words = {AS_CONFIGURED: "the filter before tuning", NOT_TUNED: NOT_TUNED}
     return words.get(name, f"the {name}")
+
+
+def advice(frame: Frame | None = None) -> dict[str, str]:
+    """How to get each of the filters that are compared, by name.
+
+    `frame` is the inertial frame of the recordings, if they are of inertial sensors.
+    """
+    return {name: how.format(frame=frame_option(frame)) for name, how in ADVICE.items()}
+
+
+def frame_option(frame: Frame | None) -> str:
+    """The option of a command for an inertial frame; "" for the default."""
+    return "" if frame in (None, "ENU") else f" --frame {frame}"
 
 
 def own_name(found: Description) -> str:
@@ -290,7 +304,7 @@ class Evaluation:
         names = {called(name) for name in order if less[name].mean > 0}
         better = {name: each for name, each in found.items() if name in names}
         others = {name: each for name, each in found.items() if name not in names}
-        return verdict(where, own, better, others, {called(k): how for k, how in ADVICE.items()})
+        return verdict(where, own, better, others, {called(k): how for k, how in advice().items()})
 
     def _losses(self, name: str, cost: Interval) -> list[Loss]:
         """How much less a contender errs [deg], [cm], and costs."""

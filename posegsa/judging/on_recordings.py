@@ -13,14 +13,15 @@ from posegsa.errors import RecordingError
 from posegsa.filters.base import sensors_of
 from posegsa.filters.rollout import Estimates
 from posegsa.judging.description import Description, described_filter
-from posegsa.judging.evaluation import ADVICE, CONSTANT, IMU_AS_IT_COMES
+from posegsa.judging.evaluation import CONSTANT, IMU_AS_IT_COMES, advice, frame_option
 from posegsa.judging.known_sensors import StoredSensors
 from posegsa.judging.replayed import HEADS, error_rows, replayed_on, with_heads
 from posegsa.judging.verdict import Loss, verdict
 from posegsa.recordings.accuracy import AnyNumber, Blocks, Rmse
 from posegsa.recordings.broad import GYROSCOPE
 from posegsa.recordings.fingerprint import fingerprint
-from posegsa.recordings.imu import as_read_by
+from posegsa.recordings.frames import Frame
+from posegsa.recordings.imu import as_read_by, frame_of
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter
 from posegsa.search.configured_filters import OwnFilter
@@ -106,6 +107,11 @@ class OnRecordings:
     """References and weights of the sensors of the training recordings, for exports and streams;
     None if these differ between recordings, or there are none."""
 
+    @property
+    def frame(self) -> Frame | None:
+        """The inertial frame of the sensors, if they are those of `imu`; None if not."""
+        return None if self.sensors is None else frame_of(np.array(self.sensors.vectors))
+
     def text(self, simulated_share: float) -> str:
         """A short text; it always says whether recordings were held out.
 
@@ -150,7 +156,9 @@ class OnRecordings:
         order = sorted(found, key=lambda name: gain[name], reverse=True)
         better = {name: found[name] for name in order if gain[name] > 1 - 1 / MATTERS}
         others = {name: found[name] for name in order if name not in better}
-        words = verdict("what was held out", errors, better, others, ADVICE)
+        # A run knows the frame that it was tuned in, a configuration does not.
+        of_run = "" if self.training else frame_option(self.frame)
+        words = verdict("what was held out", errors, better, others, advice(self.frame), of_run)
         return words + self._chosen_on_these()
 
     def _chosen_on_these(self) -> str:

@@ -1,8 +1,8 @@
 """Attitude filters of other libraries on IMU recordings, each with the settings of its paper.
 
 `pip install ".[compare]"` installs them. They read the accelerometer [m/s^2] and the magnetometer
-of `Recording.sensors`, and start from the first samples of both. Their inertial frame is x east,
-y north (magnetic), z up; the recording must use the same.
+of `Recording.sensors`, and start from the first samples of both. Their estimates are turned to the
+inertial frame of the recording.
 
 VQF       D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation
           and magnetic disturbance rejection", Information Fusion 91, 2023; package vqf, defaults
@@ -23,7 +23,7 @@ from posegsa.errors import ArgumentError, RecordingError
 from posegsa.filters.rollout import Estimates
 from posegsa.recordings.bridging import gaps_in
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.rotations import matrices, quaternions
+from posegsa.recordings.rotations import matrices, quaternions, to_east_north_up
 
 Signals: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Gyroscope, accelerometer and magnetometer, each (K, 3)."""
@@ -32,7 +32,6 @@ MADGWICK_GAIN = 0.041
 """beta [rad/s] of the filter with magnetometer in Madgwick's report."""
 MAHONY_GAINS = 1.0, 0.3
 """k_P, k_I [rad/s] of the experiments in Mahony's paper."""
-_NORTH_WEST_TO_EAST_NORTH = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 
 
 def other_filter(name: str, recording: Recording) -> Estimates:
@@ -48,6 +47,7 @@ def other_filter(name: str, recording: Recording) -> Estimates:
     gyr, acc, mag = signals
     each = ((gyr[part], acc[part], mag[part]) for part in parts)
     R = np.concatenate([OTHER_FILTERS[name](part, recording.time_step) for part in each])
+    R = to_east_north_up(recording.frame or "ENU").T @ R
     count = recording.samples
     nothing = np.full(count, np.nan)
     arrays: dict[str, Any] = {
@@ -82,8 +82,8 @@ def _vqf(signals: Signals, step: float) -> np.ndarray:
 
 def _madgwick(signals: Signals, step: float) -> np.ndarray:
     made = _imported("ahrs.filters", "Madgwick")(frequency=1 / step, gain=MADGWICK_GAIN)
-    north_west_up = _sample_by_sample(made, signals, _NORTH_WEST_TO_EAST_NORTH.T)
-    return _NORTH_WEST_TO_EAST_NORTH @ north_west_up
+    to_east = to_east_north_up("NWU")
+    return to_east @ _sample_by_sample(made, signals, to_east.T)
 
 
 def _mahony(signals: Signals, step: float) -> np.ndarray:
@@ -118,6 +118,8 @@ OTHER_FILTERS: dict[str, Callable[[Signals, float], np.ndarray]] = {
     "Madgwick": _madgwick,
     "Mahony": _mahony,
 }
+"""Functions of the signals and the time step [s]; rotations (K, 3, 3), body to x east, y north
+(magnetic), z up."""
 
 
 def _signals(recording: Recording) -> Signals:

@@ -20,6 +20,7 @@ from posegsa.judging.evaluation import (
     KALMAN_AS_IT_COMES,
     NOISES_FOUND,
 )
+from posegsa.judging.known_sensors import of_recordings
 from posegsa.judging.on_recordings import OnRecordings, RecordingScore, score, scored
 from posegsa.judging.other_filters import OTHER_FILTERS, installed, other_filter, readable
 from posegsa.judging.result import Result
@@ -64,7 +65,10 @@ def judged_beside_baselines(
         else:
             baselines = {}
         baselines |= _others(others, recordings)
-    judged = before or OnRecordings(training=[], held_out=[])
+    judged = before
+    if judged is None:
+        known = of_recordings(recordings) if result.filter.kind == "imu" else None
+        judged = OnRecordings(training=[], held_out=[], sensors=known)
     if [one.fingerprint for one in judged.held_out] == [one.fingerprint for one in its_own]:
         baselines = judged.baselines | baselines
     judged = replace(judged, held_out=its_own, baselines=baselines)

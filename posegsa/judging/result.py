@@ -200,13 +200,29 @@ class Result:
             ArgumentError: The recording's references move.
         """
         check_type("recording", recording, Recording)
-        sensors = of_recordings([as_read_by(self.filter.kind, recording)])
+        sensors = of_recordings([self.as_read(recording)])
         if sensors is None:
             refuse(f"{recording.name}: its references move", "the same in all samples")
         return self._with_sensors(sensors)
 
+    @property
+    def frame(self) -> Frame | None:
+        """The inertial frame that a filter for inertial sensors knows; None if it knows none.
+
+        It is that of the recordings that it was tuned on, if they have one in common, or that of
+        `in_frame`.
+        """
+        on = self.on_recordings
+        return on.frame if on is not None and self.filter.kind == "imu" else None
+
+    def as_read(self, recording: Recording) -> Recording:
+        """A recording as the filter reads it; one that states no frame is in that of the filter."""
+        return as_read_by(self.filter.kind, recording, self.frame)
+
     def in_frame(self, frame: Frame) -> "Result":
-        """The same filter for inertial sensors in another inertial frame, for exports and streams.
+        """The same filter for inertial sensors in another inertial frame.
+
+        Exports, streams and recordings that state no frame of their own are in it.
 
         Args:
             frame: "ENU", "NED" or "NWU".
@@ -271,7 +287,7 @@ class Result:
         check_type("measurements", measurements, Measurements, Recording)
         dtype = np.dtype(self.experiment.run.dtype)
         if isinstance(measurements, Recording):
-            measurements = as_read_by(self.filter.kind, measurements)
+            measurements = self.as_read(measurements)
         with jax.enable_x64(dtype == np.float64):
             own_start = rotation is None and position is None and bias is None
             if isinstance(measurements, Recording) and own_start:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-TAKE_IT = "take it, `posegsa export RUN --format c` or `posegsa replay RUN FILE`"
+TAKE_IT = "take it, `posegsa export RUN --format c{options}` or `posegsa replay RUN FILE{options}`"
 """What to do if no other filter is better."""
 
 
@@ -40,6 +40,7 @@ def verdict(
     better: Mapping[str, Sequence[Loss]],
     others: Mapping[str, Sequence[Loss]],
     advice: Mapping[str, str],
+    options: str = "",
 ) -> str:
     """The sentence.
 
@@ -49,13 +50,15 @@ def verdict(
         better: The losses of the judged filter against each better one, the largest first.
         others: The same of the rest, the nearest first; of both at least one.
         advice: How to get a filter, by name.
+        options: What the commands that take the judged filter need, such as " --frame NED".
     """
     if not better:
         name, losses = next(iter(others.items()))
         beside = f", beside {', '.join(list(others)[1:])}" if len(others) > 1 else ""
         return (
             f"Best on {where}: this filter, {own}; the next, {name}{beside}, errs "
-            f"{_listed(losses)}, with 95 % intervals: {TAKE_IT}."
+            f"{_listed(losses)}, with 95 % intervals: "
+            f"{TAKE_IT.format(options=options)}."
         )
     (first, losses), *rest = better.items()
     then = "".join(f"; then {name}, {_listed(each)}" for name, each in rest)

@@ -11,7 +11,7 @@ from posegsa.recordings.checked_files import file_of, reading
 GROUPS = "phases", "sources", "sensors"
 """Arguments that are dictionaries: each entry is an array named "group/key"."""
 START = "start_rotation", "start_position", "start_bias"
-WORDS = "name", "start"
+WORDS = "name", "start", "frame"
 BY_RATE = "weights_by_rate"
 SCALARS = "landmark_outlier", "origin"
 """Names of arguments that are numbers; the first may be "off"."""

@@ -28,7 +28,7 @@ BAG_KEYS = "topics", "stamps"
 ARGUMENTS = (
     *("vector_references", "vector_weights"),
     *("landmark_references", "landmark_weights"),
-    "start",
+    *("start", "frame"),
 )
 """Keys that are arguments of `Recording.from_arrays`."""
 STREAM_KEYS = "truth", "between"

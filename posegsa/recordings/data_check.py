@@ -30,8 +30,9 @@ class SensorCheck(NamedTuple):
     gap: float
     """Longest time without a measurement [s]."""
     noise: float
-    """Standard deviation of each component's noise in a sample, in its unit, if it is taken for
-    white (`recordings.noises`); without a truth, from differences of neighbouring samples."""
+    """Standard deviation of each component's noise in a sample, in its unit: of raw signals of an
+    inertial sensor, and without a truth, from differences of neighbouring samples; of others as a
+    filter must assume it that takes for white what lasts, too (`recordings.noises`)."""
     bias: float | None
     """Length of the mean difference from the truth's prediction, in its unit; None without a
     truth."""
@@ -49,7 +50,7 @@ class DataCheck:
     """How far the sensors disagree with each other and with the truth, as shares
     (`recordings.relations`)."""
     unobservable: str
-    """What is missing to determine the pose; "" if nothing is missing."""
+    """A sentence about what is missing to determine the pose; "" if nothing is missing."""
     findings: list[str]
     """Mistakes and delays that the recording seems to have, in words; nothing is corrected."""
 
@@ -71,11 +72,11 @@ class DataCheck:
             if one.held > 1
         ]
         if self.unobservable:
-            parts.append(f"The pose can't be determined: {self.unobservable}.")
+            parts.append(self.unobservable)
         if self.findings:
             parts.append("\n".join(f"  look: {words}" for words in self.findings))
         else:
-            if not self.unobservable:
+            if not self.unobservable or "accelerometer" in self.recording.sensors:
                 parts.append(f"No mistake was found: the sensors agree with {self._compared}.")
             if settings := self.settings:
                 parts.append(f"These noises as a configuration:\n\n{settings}")
@@ -328,7 +329,7 @@ def _sensors(recording: Recording) -> list[SensorCheck]:
         if name in velocities:
             noise = velocities[name].density / math.sqrt(holding.samples * step)
             mean = velocities[name].bias
-        elif len(off) > FEWEST:
+        elif len(off) > FEWEST and name not in recording.sensors:
             noise = noise_of(off, step) / math.sqrt(holding.samples)
         else:
             noise = neighbours(raw[holding.fresh])
@@ -368,13 +369,30 @@ def _there(recording: Recording, name: str) -> np.ndarray:
 
 
 def _unobservable(recording: Recording, q: Quantities) -> str:
-    """What is missing to determine the pose, or the attitude of a recording without position."""
+    """What is missing to determine the pose, or the attitude of a recording without position.
+
+    A sentence; "" if nothing is missing.
+    """
+    sensors = recording.sensors
+    if recording.attitude_only and "accelerometer" in sensors and "magnetometer" not in sensors:
+        return (
+            "Without a magnetometer the heading is free: it starts arbitrarily and drifts. The "
+            "inclination is determined."
+        )
+    if recording.attitude_only and "magnetometer" in sensors and "accelerometer" not in sensors:
+        return (
+            "The attitude can't be determined: there is no accelerometer (columns ax ay az of a "
+            "CSV file)."
+        )
     references = [v.reference for v in q.vectors if v.reference is not None]
     directions = np.array([np.atleast_2d(r)[0] for r in references]).reshape(-1, 3)
     if recording.attitude_only:
         told = any(v.reference is None for v in q.vectors)  # a field, whose reference is learnt
-        return "" if told else why_attitude_unobservable(directions)
-    return why_unobservable(directions, np.array(q.places).reshape(-1, 3))
+        why = "" if told else why_attitude_unobservable(directions)
+        more = "" if q.vectors else ", or an accelerometer (columns ax ay az of a CSV file)"
+        return f"The attitude can't be determined: {why}{more}." if why else ""
+    why = why_unobservable(directions, np.array(q.places).reshape(-1, 3))
+    return f"The pose can't be determined: {why}." if why else ""
 
 
 def _known(values: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from typing import Literal
 
+from posegsa.errors import RecordingError
+
 Frame = Literal["ENU", "NED", "NWU"]
 """The axes x, y, z of the inertial frame: east, north, up; north, east, down; north, west, up.
 North is magnetic north."""
@@ -21,3 +23,9 @@ NORTH: dict[Frame, tuple[float, float, float]] = {
 
 GRAVITY = 9.81
 """Length of the specific force at rest [m/s^2]."""
+
+
+def check_frame(frame: object) -> None:
+    """Raise a RecordingError unless this is one of the inertial frames."""
+    if frame not in tuple(UP):
+        raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")

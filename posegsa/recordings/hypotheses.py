@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posegsa.recordings.frames import GRAVITY
-from posegsa.recordings.relations import AXES, Quantities, Vector, misfits
-from posegsa.recordings.rotations import matrices, quaternions
+from posegsa.recordings.frames import GRAVITY, UP, Frame
+from posegsa.recordings.relations import AXES, Quantities, Vector, misfits, north_of
+from posegsa.recordings.rotations import matrices, quaternions, to_east_north_up
 
 FITS, FITTED = 0.35, 0.1
 """Largest misfit, without the mistake, of the relation that improves most; and where numbers are
@@ -164,6 +164,7 @@ def _of_truth(q: Quantities) -> Iterator[Hypothesis]:
             2,
             TRUTH,
         )
+    yield from _of_frame(q)
     if (frame := _frame_of_references(q)) is not None:
         turn, offset, words = frame
         yield Hypothesis(
@@ -183,6 +184,37 @@ def _of_truth(q: Quantities) -> Iterator[Hypothesis]:
             lambda q: q.changed(velocity=_all_to_body(q, _of(q.velocity))),
             1,
             MOVING,
+        )
+
+
+def _of_frame(q: Quantities) -> Iterator[Hypothesis]:
+    """Other inertial frames that the truth of an inertial sensor may be in.
+
+    Where no field shows north, only the other way up: of those frames one fits as well as another,
+    and so does an accelerometer of the wrong sign.
+    """
+    if (assumed := q.frame) is None:
+        return
+    others: list[Frame] = [frame for frame in UP if frame != assumed]
+    looks: dict[Frame, tuple[str, str]]
+    if any(north_of(each) in misfits(q) for each in q.vectors):
+        looks = {frame: (f"{frame}, not {assumed}", "") for frame in others}
+    else:
+        over: list[Frame] = [frame for frame in others if UP[frame] != UP[assumed]]
+        way = "down" if over == ["NED"] else "up"
+        sign = ". Or the accelerometer measures downwards at rest: then change its sign"
+        looks = {over[0]: (f"a frame whose z axis points {way} ({' or '.join(over)})", sign)}
+    for frame, (words, also) in looks.items():
+        turn = to_east_north_up(assumed).T @ to_east_north_up(frame)
+        yield Hypothesis(
+            f'the truth looks like {words}: --frame {frame}, or the line frame = "{frame}" in the '
+            f"TOML file beside the recording{also}",
+            lambda q, turn=turn: q.changed(
+                rotation=turn @ _of(q.rotation),
+                position=None if q.position is None else q.position @ turn.T,
+            ),
+            0,
+            TRUTH,
         )
 
 

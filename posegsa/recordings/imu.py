@@ -6,7 +6,8 @@ Such a recording has no position: it is attitude only.
 """
 
 import math
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -14,11 +15,12 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_number, check_type
-from posegsa.errors import RecordingError
+from posegsa.errors import PosegsaWarning, RecordingError
 from posegsa.filters.attitude import LONGEST_PAUSE
+from posegsa.model import limits
 from posegsa.model.measurements import finite_array, finite_rows
 from posegsa.recordings.bridging import refuse_gaps
-from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame
+from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame, check_frame
 from posegsa.recordings.imu_advice import advice
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import to_east_north_up
@@ -31,7 +33,7 @@ class ImuRecording(Recording):
     """A recording of an inertial sensor, made by `imu` or `as_imu`."""
 
     frame: Frame = "ENU"
-    """The inertial frame."""
+    """The inertial frame, of the references too."""
 
     def describe(self) -> str:
         """A text for people, with advice where the signals call for it."""
@@ -105,8 +107,7 @@ def as_imu(recording: Recording, *, frame: Frame | None = None) -> ImuRecording:
     Args:
         recording: with "accelerometer" and, for a heading, "magnetometer" in its `sensors`, as from
             `Recording.from_broad` and `from_csv`.
-        frame: as in `imu`; by default that of a recording that `imu` made and `save` wrote, or
-            "ENU".
+        frame: as in `imu`; by default that of the recording (`Recording.frame`), or "ENU".
 
     Raises:
         RecordingError: as in `imu`, or the recording has no accelerometer.
@@ -121,7 +122,7 @@ def as_imu(recording: Recording, *, frame: Frame | None = None) -> ImuRecording:
     return _made(
         np.asarray(recording.measurements.angular_velocity),
         recording.sensors,
-        _frame_of(recording) if frame is None else frame,
+        frame or recording.frame or "ENU",
         name=recording.name,
         time_step=recording.measurements.time_step,
         origin=recording.first_stamp,
@@ -149,11 +150,12 @@ def _made(
     frame: Frame,
     *,
     sources: Mapping[str, str],
+    notes: Sequence[str] = (),
     **more: Any,
 ) -> ImuRecording:
     """A checked recording of signals (K, 3), with further arguments of `Recording.from_arrays`."""
-    if frame not in UP:
-        raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
+    check_frame(frame)
+    sensors, wild = _without_wild(sensors)
     # The filter itself knows for how long a slow sensor's sample stands.
     more["weights_by_rate"] = False
     acc = sensors["accelerometer"]
@@ -163,7 +165,9 @@ def _made(
         vectors=np.stack([acc, mag], axis=1),
         vector_references=references(frame),
         sensors=sensors,
+        frame=frame,
         sources=sources,
+        notes=(*notes, *wild),
         **more,
     )
     if found.time_step > LONGEST_PAUSE:
@@ -176,11 +180,15 @@ def _made(
     own = {each.name: getattr(found, each.name) for each in fields(found)}
     own["start"] = Start(_first_attitude(acc, mag, frame), np.zeros(3), np.zeros(6))
     own["sources"] = found.sources | _in_words(acc, mag)
-    return ImuRecording(**own, frame=frame)
+    if wild:
+        warnings.warn(f"{found.name}: {'; '.join(wild)}", PosegsaWarning, stacklevel=3)
+    return ImuRecording(**own)
 
 
-def as_read_by(kind: str, recording: Recording) -> Recording:
+def as_read_by(kind: str, recording: Recording, usual: Frame | None = None) -> Recording:
     """A recording as a kind of filter reads it: "imu" reads the raw signals of inertial sensors.
+
+    `usual` is the inertial frame of a recording that states none; by default "ENU".
 
     Raises:
         RecordingError: as in `as_imu`, or there is a gap that this kind can't read.
@@ -189,50 +197,66 @@ def as_read_by(kind: str, recording: Recording) -> Recording:
         refuse_gaps(recording.name, recording.time)
     if kind != "imu" or isinstance(recording, ImuRecording):
         return recording
-    return as_imu(recording)
+    return as_imu(recording, frame=recording.frame or usual)
 
 
-def _frame_of(recording: Recording) -> Frame:
-    """The frame that the references of a recording are in, if they are those of `imu`."""
-    known = np.asarray(recording.measurements.vector_references)
+def frame_of(known: np.ndarray) -> Frame | None:
+    """The frame whose `references` are known (n, 3); None if it is none."""
     for frame in UP:
-        if np.array_equal(known[0], references(frame)):
+        if np.array_equal(known, references(frame)):
             return frame
-    return "ENU"
+    return None
 
 
 def _first_attitude(acc: np.ndarray, mag: np.ndarray | None, frame: Frame) -> np.ndarray:
-    """R (3, 3), body to inertial, of the first sample of both sensors.
+    """R (3, 3), body to inertial, of the first samples of both sensors that are not parallel.
 
     Without a magnetometer the body's x axis, or its y axis where x is steep, points east.
     """
-    up = _first("acc", acc)
-    up = up / np.linalg.norm(up)
+    first = _known("acc", acc)
+    up = acc[first[0]] / np.linalg.norm(acc[first[0]])
     if mag is None:
         field = np.cross(up, np.eye(3)[0 if abs(up[0]) < math.sqrt(0.5) else 1])
+        east = np.cross(field, up)
     else:
-        field = _first("mag", mag)
-    east = np.cross(field, up)
-    if not np.linalg.norm(east) > 1e-3 * np.linalg.norm(field):
-        raise RecordingError(
-            "mag: is parallel to acc at first, so that there is no heading in it; allowed: a field "
-            "that is not, or mag=None"
-        )
+        seen = _known("mag", mag)
+        last = np.maximum(np.searchsorted(first, seen, side="right") - 1, 0)
+        for before, at in zip(first[last], seen, strict=True):  # nearly always the first one
+            up = acc[before] / np.linalg.norm(acc[before])
+            east = np.cross(mag[at] / np.linalg.norm(mag[at]), up)
+            if np.linalg.norm(east) > 1e-3:
+                break
+        else:
+            raise RecordingError(
+                "mag: is parallel to acc in all samples, so that there is no heading in it; "
+                "allowed: a field that is not, or mag=None"
+            )
     east = east / np.linalg.norm(east)
     to_axes = np.stack([east, np.cross(up, east), up])
     return to_east_north_up(frame).T @ to_axes
 
 
-def _first(name: str, values: np.ndarray) -> np.ndarray:
-    """The first value (3,) that is finite and not zero."""
-    for first in range(0, len(values), 1000):  # it is nearly always among the first
-        some = values[first : first + 1000]
-        known = np.isfinite(some).all(axis=1) & some.any(axis=1)
-        if known.any():
-            return some[np.argmax(known)]
-    raise RecordingError(
-        f"{name}: all {len(values)} samples are missing or zero; allowed: some that are not"
-    )
+def _known(name: str, values: np.ndarray) -> np.ndarray:
+    """Indices of the values (K, 3) that are finite and not zero."""
+    known = np.flatnonzero(finite_rows(values) & values.any(axis=1))
+    if not known.size:
+        raise RecordingError(
+            f"{name}: all {len(values)} samples are missing or zero; allowed: some that are not"
+        )
+    return known
+
+
+def _without_wild(sensors: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Signals (K, 3) with NaN where one is infinite or beyond all sensors, and notes of that."""
+    found, notes = dict(sensors), []
+    for name, signal in sensors.items():
+        wild = np.asarray(np.abs(signal) > limits.VECTOR.high)
+        if wild.any():
+            rows = np.asarray(wild.any(axis=1))
+            found[name] = np.where(rows[:, None], math.nan, signal)
+            count = f"{int(rows.sum())} of {len(signal)} samples"
+            notes.append(f"{name}: {count} left out, beyond {limits.VECTOR.high:g} or infinite")
+    return found, notes
 
 
 def _in_words(acc: np.ndarray, mag: np.ndarray | None) -> dict[str, str]:

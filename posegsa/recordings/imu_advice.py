@@ -2,20 +2,25 @@
 
 The samples are divided into parts of PART seconds. In a part the sensor rests if gyroscope and
 accelerometer stay near their means, by the thresholds of the attitude filter (`filters.attitude`).
-What the gyroscope shows there is a bias if the field, or without one gravity, does not turn.
+What the gyroscope shows there is a bias if gravity and field do not turn as it says. Where neither
+would turn, as gravity does not about the vertical, it is one up to the largest that the filter
+takes for a bias.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from posegsa.filters.attitude import REST_SHAKING, REST_TURNING
+from posegsa.filters.attitude import LARGEST_BIAS, REST_SHAKING, REST_TURNING
 from posegsa.recordings.frames import GRAVITY
 
 PART = 0.5
 """Length of a part [s]."""
 FEWEST = 4
 """Parts of rest, or of motion, that are enough to say something."""
+APART, SIDEWAYS, TURNS = 1.5, 0.3, 0.3
+"""Time between the directions that are compared at rest [s]; the least share of a turn that is
+sideways to a direction which shows it; and of this the least that is seen of a real turn."""
 FIELD_OFF, FORCE_OFF, BIAS_OFF = 0.1, 0.02, float(np.deg2rad(1.0))
 """Change of the field's length, and error of the acceleration's at rest, as shares, and bias of the
 gyroscope [rad/s], from which on there is advice. Of the 17 trials of BROAD that were looked at,
@@ -41,10 +46,14 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
     # A field of 0 is missing, as it is for the filter.
     known = None if mag is None else np.where(mag.any(axis=1, keepdims=True), mag, np.nan)
     field = None if known is None else _parts(known, length)
-    seen = pull if field is None else _mean(field)
     if np.count_nonzero(still) >= FEWEST:
-        speed = _length(np.median(bias[still], axis=0))
-        if speed >= BIAS_OFF and _turned(seen, still) < 0.3 * speed * PART:
+        shown = np.median(bias[still], axis=0)
+        speed = float(_length(shown))
+        seen = [
+            _turned(one, still, shown) for one in (pull, None if field is None else _mean(field))
+        ]
+        told = [share for share in seen if share is not None]
+        if speed >= BIAS_OFF and (max(told) < TURNS if told else speed <= LARGEST_BIAS):
             yield (
                 f"the gyroscope shows {np.degrees(speed):.1f} deg/s at rest: subtract it, or have "
                 f"the filter expect it (filter.initial_bias = {2 * speed:.2g}, in a file from "
@@ -74,18 +83,28 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
             yield f"the field's length varies by {share:.0f} % while the body moves: {cure}"
 
 
-def _turned(seen: np.ndarray, still: np.ndarray) -> float:
-    """Median angle [rad] by which a direction (parts, 3) turns between neighbours at rest.
+def _turned(seen: np.ndarray | None, still: np.ndarray, shown: np.ndarray) -> float | None:
+    """How far a direction (parts, 3) turns at rest, as a share of what the gyroscope shows.
 
-    It is infinite if there are none.
+    `shown` (3,) is that [rad/s]. None if the direction, or a gap between its samples, says nothing.
     """
-    known = still & np.isfinite(seen).all(axis=1) & (_length(seen) > 0)
-    pairs = known[1:] & known[:-1]
-    if not pairs.any():
-        return np.inf  # unknown
-    unit = seen / np.where(known, _length(seen), 1.0)[:, None]
-    off = _length(np.cross(unit[1:], unit[:-1]))[pairs]
-    return float(np.median(np.arcsin(np.minimum(off, 1.0))))
+    speed = float(_length(shown))
+    if seen is None or not speed:
+        return None
+    at = np.flatnonzero(still & np.isfinite(seen).all(axis=1) & (_length(seen) > 0))
+    apart = max(1, round(min(APART, 0.5 * np.pi / speed) / PART))
+    later = np.searchsorted(at, at + apart)
+    first, last = at[later < len(at)], at[later[later < len(at)]]
+    moved = np.cumsum(~still)
+    turn = speed * PART * (last - first)
+    u, v = (seen[k] / _length(seen[k])[:, None] for k in (first, last))
+    sideways = _length(np.cross(shown / speed, u))
+    tells = (moved[first] == moved[last]) & (sideways > SIDEWAYS) & (turn < np.pi)
+    if not tells.any():
+        return None
+    angle = np.arctan2(_length(np.cross(u, v)), np.sum(u * v, axis=1))
+    expected = 2 * np.arcsin(sideways * np.sin(0.5 * np.minimum(turn, np.pi)))
+    return float(np.median(angle[tells] / expected[tells]))
 
 
 def _mean(parts: np.ndarray) -> np.ndarray:

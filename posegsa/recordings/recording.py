@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
 from pathlib import Path
@@ -34,6 +34,7 @@ from posegsa.recordings.bridging import (
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.checked_files import as_path, naming
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
+from posegsa.recordings.frames import Frame, check_frame
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
 from posegsa.recordings.policies import Policy
 from posegsa.recordings.readers import IN_WORDS, READERS
@@ -107,6 +108,9 @@ class Recording:
     sensors: dict[str, np.ndarray] = field(default_factory=dict)
     """Raw signals (K, 3), body frame, for filters that use them: "accelerometer" [m/s^2],
     "magnetometer" [any unit]; NaN where missing."""
+    frame: Frame | None = None
+    """The inertial frame in which raw signals of an inertial sensor are compared with the truth;
+    None if it was not stated. Vectors and landmarks have references instead."""
     vector_interval: np.ndarray = field(default_factory=lambda: np.ones(0))
     """(n,) factor on the weights of each vector: samples from one measurement to the next."""
     landmark_interval: np.ndarray = field(default_factory=lambda: np.ones(0))
@@ -142,6 +146,7 @@ class Recording:
         longest_gap: float | None = None,
         sources: Mapping[str, str] | None = None,
         sensors: Mapping[str, ArrayLike] | None = None,
+        frame: Frame | None = None,
         notes: Sequence[str] = (),
     ) -> "Recording":
         """A checked recording of K samples.
@@ -183,6 +188,7 @@ class Recording:
                 default an hour.
             sources: `Recording.sources`.
             sensors: `Recording.sensors`.
+            frame: `Recording.frame`; only with an accelerometer among the sensors.
             notes: `Recording.notes`.
 
         Raises:
@@ -191,6 +197,8 @@ class Recording:
                 allowed. Checks that only recordings have raise its subclass `RecordingError`.
         """
         check_type("name", name, str)
+        if frame is not None:
+            check_stated(frame, sensors or ())
         omega = finite_array("angular_velocity", angular_velocity, (None, 3), finite=False)
         samples = len(omega)
         attitude_only = velocity is None
@@ -260,6 +268,7 @@ class Recording:
                 for key, signal in (sensors or {}).items()
             },
             first_stamp=stamp_after(first_stamp(time, _stamp("origin", origin)), found.begin),
+            frame=frame,
             **intervals,
         )
         if changes:
@@ -575,6 +584,7 @@ class Recording:
             "truth_position": None if self.truth is None else self.truth.position,
             "judged": self.judged,
             "start": start,
+            "frame": self.frame,
             "notes": self.notes,
             # Where all are 1, weights may have been left as they were given.
             "weights_by_rate": any((interval != 1).any() for interval in intervals.values()),
@@ -702,8 +712,11 @@ class Recording:
                 ("landmark", self.measurements.landmarks),
             )
         ]
+        if self.sensors and not self.measurements.vectors.shape[1]:
+            counts[0] = ", ".join(self.sensors)
         judged = "no truth" if self.truth is None else f"{100 * np.mean(self.judged):.1f} % judged"
         mode = "attitude only" if self.attitude_only else "pose"
+        mode += "" if self.frame is None else f", {self.frame}"
         start = "a pose" if isinstance(self.start, Start) else self.start
         lines = [
             f"{self.name}: {self.samples} samples, {self.duration:.6g} s at "
@@ -727,6 +740,16 @@ class Recording:
                 'allowed: "sensors" or a pose'
             )
         return slice(0, len(rest) if rest.all() else int(np.argmin(rest)))
+
+
+def check_stated(frame: object, sensors: Collection[str]) -> None:
+    """Raise a RecordingError unless a frame may be stated of a recording with these raw signals."""
+    check_frame(frame)
+    if "accelerometer" not in sensors:
+        raise RecordingError(
+            f"frame = {frame!r}; allowed: of a recording with an accelerometer (columns ax ay az "
+            "of a CSV file); that of others is the frame of their references"
+        )
 
 
 def _mask(name: str, mask: ArrayLike, samples: int) -> np.ndarray:

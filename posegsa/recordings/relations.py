@@ -14,6 +14,10 @@ weights that fall to 0 at both ends, however hard the body is shaken. P is that 
 both velocities. The better of both readings counts. Taken by axis of the body, it also detects
 wrong signs that hardly change the total.
 
+Raw signals of an inertial sensor have the references that their frame gives them: gravity upwards,
+and for a field, whose size and dip are unknown, the horizontal direction north. That relation says
+only which frame is meant (NORTH_OFF): a truth may well be turned about the vertical otherwise.
+
 A misfit is the median distance of both sides, as a share of the size of the compared quantity: 0.02
 to 0.2 for real sensors, about 1 if there is a mistake. Constant biases of the velocities are left
 out of it. If the body hardly turns or moves, a relation says nothing and is left out.
@@ -27,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from posegsa.recordings.frames import GRAVITY
+from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame
 from posegsa.recordings.held import held
 from posegsa.recordings.inertial_frame import running_products
 from posegsa.recordings.recording import Recording
@@ -54,6 +58,11 @@ SPARSE = 0.05
 """Minimum share of the weights in such a mean that belongs to measurements."""
 LIVELY = 0.005
 """Change of the specific force of an axis, as a share of gravity, below which it says nothing."""
+STEEP = 0.1
+"""Horizontal share of a field's length below which it does not show where north is."""
+NORTH_OFF, NORTH_FITS = 0.3, 0.05
+"""Distance of the field's horizontal direction (of length one) from north up to which it may be
+declination or iron, and the misfit that this counts as."""
 AXES = "xyz"
 
 
@@ -95,6 +104,8 @@ class Quantities:
     """(K, 3) of each landmark [m], body frame."""
     places: tuple[np.ndarray, ...]
     """(3,) of each landmark, inertial frame [m]."""
+    frame: Frame | None = None
+    """The inertial frame, if the vectors are raw signals of an inertial sensor."""
     repeated: dict[str, np.ndarray] = field(default_factory=dict)
     """(K,) where a held velocity has no new measurement, by the velocity's name."""
     known: dict[Any, Any] = field(default_factory=dict, compare=False)
@@ -112,19 +123,20 @@ class Quantities:
         return self.known[key][1]
 
 
-def quantities(recording: Recording, *, averaged: bool = True) -> Quantities:
+def quantities(recording: Recording, *, averaged: bool = True, whole: bool = False) -> Quantities:
     """The quantities of a recording, thinned and cut so that comparisons are quick.
 
     Args:
         recording: Any recording.
         averaged: Whether vectors are means over the samples that are left out; otherwise single
             samples, with the noise of a measurement.
+        whole: Whether no part is cut out, however long the recording is.
     """
     m = {name: np.asarray(a, np.float64) for name, a in recording.measurements._asdict().items()}
     count = recording.samples
     step = max(1, int(FASTEST / recording.time_step + 1e-9))
     rows = np.arange(0, count - step + 1, step)
-    if len(rows) > MOST:
+    if len(rows) > MOST and not whole:
         turning = np.linalg.norm(m["angular_velocity"][rows], axis=1)
         parts = np.array_split(rows, math.ceil(len(rows) / PART))
         most = np.argsort([-np.median(turning[p // step]) for p in parts], kind="stable")
@@ -145,8 +157,9 @@ def quantities(recording: Recording, *, averaged: bool = True) -> Quantities:
 
     of_vectors = mean if averaged else first
     vectors, given = [], recording.sensors
+    frame = recording.frame or "ENU"
     if "accelerometer" in given:
-        up = np.array([0.0, 0.0, GRAVITY])
+        up = GRAVITY * np.array(UP[frame])
         vectors.append(Vector("accelerometer", of_vectors(given["accelerometer"]), up))
     if "magnetometer" in given:
         vectors.append(Vector("magnetometer", of_vectors(given["magnetometer"]), None))
@@ -167,6 +180,7 @@ def quantities(recording: Recording, *, averaged: bool = True) -> Quantities:
         vectors=tuple(vectors),
         landmarks=tuple(first(landmarks[:, j]) for j in range(landmarks.shape[1])),
         places=tuple(places if places.ndim == 2 else places[0]),
+        frame=frame if "accelerometer" in given else None,
         repeated={
             name: np.asarray(~holding.fresh[within].any(axis=1))
             for name in ("angular_velocity", "velocity")
@@ -191,6 +205,8 @@ def misfits(q: Quantities) -> dict[str, float]:
         own = vector.body, vector.reference
         if q.rotation is not None:
             relate(f"{vector.name} and truth", _vector_and_truth, vector, of=(*own, *truth))
+            if vector.reference is None:
+                relate(north_of(vector), _north_and_truth, vector, of=(*own, *truth))
         if vector.is_up and q.rotation is not None and q.position is not None:
             for k, axis in enumerate(AXES):
                 name = f"{vector.name}, {axis}, and truth"
@@ -351,6 +367,29 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
         return found
     off = force.body - force.pulled - np.einsum("kji,kj->ki", q.rotation, known)
     return min(found, _median_length(off[_finite(off)]) / max(_median_length(known), 1e-12))
+
+
+def north_of(vector: Vector) -> str:
+    """The name of the relation of a field's horizontal direction and the truth."""
+    return f"{vector.name}, north, and truth"
+
+
+def _north_and_truth(q: Quantities, vector: Vector) -> float | None:
+    """Misfit of a field and north; None if it points north in no frame."""
+    assert q.rotation is not None
+    if q.frame is None:
+        return None
+    there = _finite(q.rotation, vector.body)
+    if there.sum() < FEWEST:
+        return None
+    seen = np.mean(np.einsum("kij,kj->ki", q.rotation[there], vector.body[there]), axis=0)
+    flat = float(np.linalg.norm(seen[:2]))
+    if flat < STEEP * _median_length(vector.body[there]):
+        return None
+    off = {F: float(np.linalg.norm(seen[:2] / flat - NORTH[F][:2])) for F in NORTH}
+    if off[q.frame] <= NORTH_OFF:
+        return NORTH_FITS
+    return off[q.frame] if min(off.values()) <= NORTH_OFF else None
 
 
 def _axis_and_truth(q: Quantities, vector: Vector, k: int) -> float | None:

@@ -57,14 +57,15 @@ def check_units(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> None:
 def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float | None:
     """The factor on gyr (K, 3) that fits acc (K, 3); None if the body hardly turns.
 
-    Means over WINDOW are compared, so it is inaccurate if the body turns fast or shakes.
+    Means over WINDOW of what is not missing are compared, so it is inaccurate if the body turns
+    fast or shakes.
     """
     size = max(1, round(WINDOW / time_step))
     blocks = len(gyr) // size
     if blocks < 2:
         return None
     turned = gyr[: blocks * size].reshape(blocks, size, 3).mean(axis=1) * (size * time_step)
-    u = acc[: blocks * size].reshape(blocks, size, 3).mean(axis=1)
+    u = _means(acc[: blocks * size].reshape(blocks, size, 3))
     u = u / np.maximum(np.linalg.norm(u, axis=1, keepdims=True), np.finfo(float).tiny)
     moved = u[1:] - u[:-1]
     expected = -np.cross(0.5 * (turned[1:] + turned[:-1]), 0.5 * (u[1:] + u[:-1]))
@@ -74,3 +75,10 @@ def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float 
         return None
     square = float(np.sum(expected**2))
     return float(np.sum(expected * moved)) / square if square > 0 else None
+
+
+def _means(parts: np.ndarray) -> np.ndarray:
+    """Means (n, 3) of what is finite in each part (n, k, 3); NaN where nothing is."""
+    known = finite_rows(parts)[..., None]
+    count = known.sum(axis=1)
+    return np.where(known, parts, 0.0).sum(axis=1) / np.where(count > 0, count, np.nan)

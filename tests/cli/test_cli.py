@@ -441,6 +441,10 @@ def test_help_and_unknown_names_need_not_wait_for_jax(tmp_path):
         ["sweep", "nowhere"],
         ["evaluate", "nowhere"],
         ["export", "nowhere", "--format", "c"],
+        ["check", "none.csv"],
+        ["replay", "imu", "none.csv", "nor.csv"],
+        ["evaluate", "imu", "--recording", "none.csv"],
+        ["tune", "imu", "--recording", "none.csv"],
     ]
     code = (
         "import json, sys\nfrom posegsa.cli.command import main\n"

@@ -350,7 +350,7 @@ def test_a_recording_is_checked_in_its_own_frame() -> None:
     )
     with warnings.catch_warnings(record=True) as noted:
         warnings.simplefilter("always")
-        warn_of_mistakes([one], "NED")
+        warn_of_mistakes([replace(one, frame="NED")])
         assert not noted
         warn_of_mistakes([one])
-    assert any("look opposite" in str(each.message) for each in noted)
+    assert any("--frame NED" in str(each.message) for each in noted)

@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.recordings import inertial_motion
+from helpers.messages import assert_states
+from helpers.recordings import RATE, inertial_motion
 from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa.errors import ArgumentError, RecordingError
 from posegsa.figures.check_figures import plot_check
+from posegsa.recordings import relations
 from posegsa.recordings.data_check import check, found_noises
+from posegsa.recordings.frames import UP, Frame
 from posegsa.recordings.recording import Recording
 
 COUNT, STEP = 1500, 0.01
@@ -334,6 +337,37 @@ def test_raw_inertial_sensors_are_compared_too() -> None:
     assert "magnetometer: the sign of its y axis looks wrong" in words
 
 
+@pytest.mark.parametrize("frame", UP)
+def test_a_truth_in_another_frame_than_stated_is_named(frame: Frame) -> None:
+    given = inertial_motion(rest=2, moving=20, frame=frame)
+    for stated in UP:
+        findings = check(posegsa.imu(**given, frame=stated)).findings
+        if stated == frame:
+            assert findings == []
+        else:
+            (words,) = findings
+            assert f"looks like {frame}, not {stated}: --frame {frame}," in words
+
+
+def test_an_accelerometer_of_the_wrong_sign_is_not_taken_for_another_frame() -> None:
+    given = inertial_motion(rest=2, moving=20)
+    (words,) = check(posegsa.imu(**given | {"acc": -given["acc"]})).findings
+    assert "accelerometer and its reference look opposite" in words
+    # Without a field both look the same, and both are said.
+    del given["mag"]
+    (words,) = check(posegsa.imu(**given | {"acc": -given["acc"]})).findings
+    assert re.search(r"z axis points down \(NED\): --frame NED.*change its sign", words)
+
+
+def test_a_field_off_north_is_no_other_frame() -> None:
+    """By declination, or because the truth has a heading of its own."""
+    given = inertial_motion(rest=2, moving=20)
+    for degrees in (15, 45, 90, 180):
+        turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+        turned = given | {"truth_rotation": turn @ given["truth_rotation"]}
+        assert check(posegsa.imu(**turned)).findings == []
+
+
 def test_a_body_that_hardly_moves_gives_no_finding() -> None:
     given = flown()
     still = {
@@ -371,7 +405,43 @@ def test_something_else_is_refused() -> None:
 
 def test_the_figure_has_a_panel_for_each_sensor() -> None:
     found = check(Recording.from_arrays(**flown()))
-    assert len(plot_check(found).axes) == len(found.sensors) == 7
+    axes = plot_check(found).axes
+    assert len(axes) == 2 * len(found.sensors) == 14
+    assert [ax.get_title(loc="left") for ax in axes[:2]] == [
+        "angular velocity",
+        "difference from the truth",
+    ]
+    untold = flown() | {"truth_quaternion": None, "truth_position": None}
+    assert len(plot_check(check(Recording.from_arrays(**untold))).axes) == 7
+
+
+def test_the_figure_shows_a_long_recording_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(relations, "MOST", 600)
+    monkeypatch.setattr(relations, "PART", 300)
+    found = check(Recording.from_arrays(**flown()))
+    drawn = plot_check(found).axes[0].lines[0].get_xdata()
+    assert (drawn[0], drawn[-1]) == (found.recording.time[0], found.recording.time[-1])
+
+
+def test_what_an_inertial_sensor_lacks_is_said() -> None:
+    given = inertial_motion(rest=2, moving=8, noise=1.0, shaking=3.0)
+    step, sensors = 1 / RATE, {"accelerometer": given["acc"], "magnetometer": given["mag"]}
+
+    def text(*kept: str) -> str:
+        some = {name: sensors[name] for name in kept}
+        made = Recording.from_arrays(time_step=step, angular_velocity=given["gyr"], sensors=some)
+        return check(made).text()
+
+    assert "100 Hz, accelerometer, magnetometer, 0 landmarks" in text(*sensors)
+    six = text("accelerometer")
+    assert_states(
+        six, "Without a magnetometer the heading is free", "The inclination is", "No mistake"
+    )
+    assert "no accelerometer (columns ax ay az" in text("magnetometer")
+    assert_states(text(), "attitude can't be determined", "an accelerometer (columns ax ay az")
+    # Motion is no noise of an accelerometer, whatever the truth.
+    noises = {one.name: one.noise for one in check(posegsa.imu(**given)).sensors}
+    assert noises["accelerometer"] == pytest.approx(0.1, rel=0.2)
 
 
 def test_what_fits_nowhere_is_told_without_a_name_for_it() -> None:

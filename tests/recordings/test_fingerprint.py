@@ -47,5 +47,7 @@ def test_every_number_counts(recording: Recording) -> None:
 
 def test_the_frame_of_an_inertial_sensor_counts(recording: Recording) -> None:
     own = {each.name: getattr(recording, each.name) for each in fields(recording)}
-    one, same, other = (fingerprint(ImuRecording(**own, frame=f)) for f in ("ENU", "ENU", "NED"))
+    one, same, other = (
+        fingerprint(ImuRecording(**own | {"frame": f})) for f in ("ENU", "ENU", "NED")
+    )
     assert one == same != other

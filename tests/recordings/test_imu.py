@@ -179,6 +179,23 @@ def test_a_field_without_heading_is_refused() -> None:
         posegsa.imu(**(given | {"mag": 4 * given["acc"]}))
 
 
+def test_a_first_acceleration_along_the_field_is_passed_over() -> None:
+    given = inertial_motion()
+    expected = posegsa.imu(**given).initial().rotation
+    given["acc"][0] = 0.1 * given["mag"][0]
+    np.testing.assert_allclose(posegsa.imu(**given).initial().rotation, expected, atol=0.01)
+
+
+def test_a_sample_beyond_all_sensors_is_left_out_and_said() -> None:
+    given = inertial_motion()
+    given["acc"][5, 0], given["acc"][7, 1], given["mag"][9, 2] = np.inf, 3e7, -np.inf
+    with pytest.warns(posegsa.PosegsaWarning, match="accelerometer: 2 of 900 samples left out"):
+        recording = posegsa.imu(**given)
+    missing = [np.flatnonzero(w == 0).tolist() for w in recording.measurements.vector_weights.T]
+    assert missing == [[5, 7], [9]]
+    assert any("magnetometer: 1 of 900 samples left out" in note for note in recording.notes)
+
+
 def test_a_recording_without_an_accelerometer_is_refused() -> None:
     recording = Recording.from_arrays(time_step=0.01, angular_velocity=np.zeros((10, 3)))
     with pytest.raises(RecordingError, match="has no accelerometer"):

@@ -58,6 +58,25 @@ def test_a_large_bias_is_told_and_a_steady_rotation_is_none() -> None:
     assert said(still * [0, 0, speed], still * [0, 0, 9.81], turned) == []
 
 
+@pytest.mark.parametrize("degrees", [7.0, 20.0, 45.0, 300.0, 720.0])
+def test_a_steady_turn_about_the_vertical_is_no_bias(degrees: float) -> None:
+    count, speed = round(20 * RATE), np.deg2rad(degrees)
+    angle = speed * np.arange(count) / RATE
+    field = np.stack([np.cos(angle), -np.sin(angle), 0 * angle - 1.5], axis=1)
+    gyr, acc = np.tile([0, 0, speed], (count, 1)), np.tile([0, 0, 9.81], (count, 1))
+    assert said(gyr, acc, None) == []
+    assert said(gyr, acc, field) == []
+
+
+@pytest.mark.parametrize("every", [100, 200])
+def test_a_slow_magnetometer_shows_a_bias_too(every: int) -> None:
+    good = inertial_motion(20.0, 0.0, noise=0.5)
+    good["mag"][np.arange(len(good["mag"])) % every != 0] = np.nan
+    for axis in np.eye(3):
+        (words,) = said(good["gyr"] - BIAS + np.deg2rad(3.0) * axis, good["acc"], good["mag"])
+        assert "3.0 deg/s at rest" in words
+
+
 def test_a_sensor_that_misses_most_samples_gets_the_same_advice() -> None:
     good = well()
     size = np.linalg.norm(good["mag"][0])

@@ -28,6 +28,15 @@ def test_degrees_per_second_are_refused() -> None:
         check_units(np.degrees(given["gyr"]), given["acc"], STEP)
 
 
+@pytest.mark.parametrize("every", [2, 10])
+def test_a_slow_accelerometer_shows_degrees_too(every: int) -> None:
+    given = inertial_motion(1.0, 10.0, noise=1.0)
+    given["acc"][np.arange(len(given["acc"])) % every != 0] = np.nan
+    check_units(given["gyr"], given["acc"], STEP)
+    with pytest.raises(RecordingError, match=r"gyr: .* deg/s"):
+        check_units(np.degrees(given["gyr"]), given["acc"], STEP)
+
+
 def test_where_little_turns_nothing_is_said_of_the_gyroscope() -> None:
     given = inertial_motion(5.0, 0.0, noise=1.0)
     assert gyroscope_unit(given["gyr"], given["acc"], STEP) is None
