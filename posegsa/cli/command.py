@@ -13,6 +13,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 
 from posegsa.cli import check, compare, configs, evaluate, export, replay, sweep, tune
 from posegsa.cli.parser import Parser
@@ -21,6 +22,7 @@ from posegsa.errors import (
     ArgumentError,
     PosegsaError,
     PosegsaWarning,
+    RecordingError,
     RunFolderError,
     SaveError,
     SearchInterrupted,
@@ -108,6 +110,7 @@ def _numbers(result) -> str:
 def _run(options: argparse.Namespace) -> int:
     """Run the chosen command."""
     _check_names(options)
+    _check_recordings(options)
     if options.command is not configs.run:
         from posegsa import runtime  # imports JAX, which `posegsa configs` does not need
 
@@ -139,6 +142,23 @@ def _check_names(options: argparse.Namespace) -> None:
             "allowed: the folder of a run, a TOML file, or a name from `posegsa configs`"
             f"{meant(named.lower(), shipped.names())}"
         )
+
+
+def _check_recordings(options: argparse.Namespace) -> None:
+    """Refuse recordings that do not exist, before the slow imports.
+
+    Of several whose results do not depend on each other, the command itself refuses each.
+    """
+    given = vars(options)
+    needed = [
+        path
+        for name in ("recording", "held_out", "training")
+        for path in ([given[name]] if isinstance(given.get(name), str) else given.get(name) or [])
+    ]
+    if not any(Path(path).exists() for path in given.get("recordings", [])):
+        needed += given.get("recordings", [])
+    if missing := [path for path in needed if not Path(path).exists()]:
+        raise RecordingError(f"{', '.join(missing)}: there is no such file or folder")
 
 
 def parser() -> argparse.ArgumentParser:

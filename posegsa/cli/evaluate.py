@@ -12,7 +12,6 @@ from posegsa.cli.options import (
     add_run,
     add_window,
     as_read_with,
-    check_there,
     is_configuration,
     read,
     result_of,
@@ -95,7 +94,6 @@ def _check(options: argparse.Namespace) -> None:
         raise ArgumentError(f"--{name.replace('_', '-')}; allowed: {allowed}")
     if options.training_window is not None and options.training is None:
         raise ArgumentError("--training-window; allowed: with --training")
-    check_there([*(options.recording or []), *(options.training or [])])
 
 
 def _judged(options: argparse.Namespace, result: "Result") -> "Result":

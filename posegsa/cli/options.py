@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from posegsa.config import shipped
-from posegsa.errors import ArgumentError, PosegsaWarning, RecordingError
+from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.recordings.frames import UP
 from posegsa.recordings.policies import LONGEST_GAP, Policy
 from posegsa.recordings.readers import IN_WORDS
@@ -244,7 +244,6 @@ def read(
     Raises:
         ArgumentError: A longest gap is given, but gaps are not bridged.
     """
-    check_there(paths)
     from posegsa.recordings.recording import Recording
 
     if longest_gap is not None and bridge in (None, "refuse"):
@@ -253,13 +252,6 @@ def read(
     more |= {name: value for name, value in stated.items() if value is not None}
     found = [_in_frame(Recording.read(path, **more), path, frame, usual) for path in paths]
     return found if part is None else [each.window(*part) for each in found]
-
-
-def check_there(paths: Iterable[str]) -> None:
-    """Raise a RecordingError for a path that does not exist, before anything slow is imported."""
-    for path in paths:
-        if not Path(path).exists():
-            raise RecordingError(f"{path}: there is no such file or folder")
 
 
 def _in_frame(

@@ -1,7 +1,6 @@
 """`posegsa replay`."""
 
 import argparse
-from pathlib import Path
 
 from posegsa.cli.options import (
     RECORDING,
@@ -11,7 +10,6 @@ from posegsa.cli.options import (
     add_run,
     add_window,
     as_read_with,
-    check_there,
     read,
     result_of,
     warn_of_mistakes,
@@ -49,8 +47,6 @@ def run(options: argparse.Namespace) -> int:
     for name in ("overwrite", "figures"):
         if getattr(options, name) and options.out is None:
             raise ArgumentError(f"--{name}; allowed: with --out")
-    if not any(Path(path).exists() for path in options.recordings):
-        check_there(options.recordings)
     from posegsa import replaying
     from posegsa.judging.replayed import replay_table
 

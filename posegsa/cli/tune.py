@@ -16,7 +16,6 @@ from posegsa.cli.options import (
     add_search_arguments,
     add_window,
     as_read_with,
-    check_there,
     own_filter,
     read,
     warn_of_mistakes,
@@ -92,7 +91,6 @@ def add(commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Tune, judge and print the result."""
-    check_there([*(options.recording or []), *(options.held_out or [])])
     from posegsa import tuning
     from posegsa.saving.result_files import written
 

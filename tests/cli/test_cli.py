@@ -478,7 +478,7 @@ def test_figures_that_there_are_not_are_refused_before_a_search(tmp_path, capsys
     assert not list(tmp_path.iterdir())
     with pytest.raises(SystemExit):
         main(["tune", "--figures", "gain", "--no-figures"])
-    assert main(["replay", str(tmp_path), "none.csv", "--figures", "gain"]) == 2
+    assert main(["replay", str(tmp_path), str(tmp_path), "--figures", "gain"]) == 2
     assert "--figures; allowed: with --out" in capsys.readouterr().err
     recorded = ["tune", "--recording", str(tmp_path / "none.csv")]
     assert main([*recorded, "--quiet", "--figures", "gian"]) == 2
