@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.recordings import motion
-from helpers.recordings import short_parts as short_parts
 from helpers.schedules import K, tuned
 
 import posegsa
@@ -19,8 +18,6 @@ from posegsa.model.schedules import ConstantGain
 from posegsa.model.signal import SignalSettings
 from posegsa.recordings import running
 from posegsa.recordings.recording import Recording
-
-pytestmark = pytest.mark.usefixtures("short_parts")
 
 GAIN = Observer(ConstantGain(jnp.float32(8.0)))
 
