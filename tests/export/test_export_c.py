@@ -347,7 +347,8 @@ def test_each_compiler_on_simulated_input_in_both_precisions(build: Build, compi
     m, exact, single = simulated_runs()
     for real, dtype in (("double", np.float64), ("float", np.float32)):
         real_of = f"-DPOSEGSA_REAL={real}"
-        options = options_of(case, real_of, *sanitizers(compiler), optimise="-O1")
+        chosen = (f"-DPOSEGSA_REAL={real}", *sanitizers(compiler))
+        options = options_of(case, *chosen, optimise="-O1")
         program = build(header, *options, compiler=compiler)
         found = run_c(program, case.layout, START, rows_of(m, dtype))
         assert (found.code == CODES["ok"]).all()
