@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from posegsa.recordings import running
 from posegsa.runtime import fast_path_flags
 
 # Before JAX makes its first array. The tests pass without it too; with it they run what users run.
@@ -73,6 +74,17 @@ def optimisation(request: pytest.FixtureRequest) -> None:
     if jax.config.read("jax_disable_most_optimizations") != fast:
         jax.clear_caches()
         jax.config.update("jax_disable_most_optimizations", fast)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def short_parts() -> Iterator[None]:
+    """Filter recordings in parts of one length, so that recordings of all lengths run one program.
+
+    Of the length that users have, each recording of a test would be one part, and compiled anew.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "PART", 100)
+        yield
 
 
 WEEK = 7 * 24 * 3600

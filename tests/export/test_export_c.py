@@ -277,8 +277,8 @@ def start_of(case: Case) -> np.ndarray:
     return START if len(case.landmarks) else START[:4]
 
 
-def options_of(case: Case, *options: str) -> tuple[str, ...]:
-    return ("-std=c99", "-O1", *options, *(() if len(case.landmarks) else ("-DATTITUDE_ONLY",)))
+def options_of(case: Case, *options: str, optimise: str = "-O0") -> tuple[str, ...]:
+    return ("-std=c99", optimise, *options, *(() if len(case.landmarks) else ("-DATTITUDE_ONLY",)))
 
 
 def deviation(a: States | Estimates, exact: Estimates, name: str) -> float:
@@ -347,7 +347,9 @@ def test_each_compiler_on_simulated_input_in_both_precisions(build: Build, compi
     header = export_c(recommended_result())
     m, exact, single = simulated_runs()
     for real, dtype in (("double", np.float64), ("float", np.float32)):
-        options = options_of(case, f"-DPOSEGSA_REAL={real}", *sanitizers(compiler))
+        real_of = f"-DPOSEGSA_REAL={real}"
+        chosen = (f"-DPOSEGSA_REAL={real}", *sanitizers(compiler))
+        options = options_of(case, *chosen, optimise="-O1")
         program = build(header, *options, compiler=compiler)
         found = run_c(program, case.layout, START, rows_of(m, dtype))
         assert (found.code == CODES["ok"]).all()

@@ -64,31 +64,51 @@ def sensed(
     }
 
 
+AT_ONCE = 100
+"""Samples that a compiled program takes: the same one for recordings of any length."""
+
+
+@jax.jit
+def some(filter: AttitudeFilter, m: Measurements, state: AttitudeState, count: int) -> Any:
+    """The state after the first `count` samples; attitude and bias before each."""
+
+    def look(total: Any, view: Any, entry: Any) -> Any:
+        return total, (view.estimate.attitude, view.estimate.bias_angular)
+
+    last, _, stored = run(look, filter, samples_of(filter, m), state, count=count)
+    return last, stored
+
+
 def ran(
     filter: AttitudeFilter,
     seen: dict[str, np.ndarray],
     references: Any = (GRAVITY, [0.0, 1.0, 0.0]),
     start: Any = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
 ) -> tuple[AttitudeState, dict[str, np.ndarray]]:
-    """The last state, and attitudes, biases, beliefs and rests before each sample."""
-    vectors = np.stack([seen["acc"], seen["mag"]], axis=1)
+    """The last state, and attitudes and biases before each sample."""
+    K = len(seen["gyr"])
+    padded = {
+        name: np.concatenate([seen[name][:K], seen[name][:1].repeat(-K % AT_ONCE, axis=0)])
+        for name in ("gyr", "acc", "mag", "steps")
+    }
     measurements = Measurements.from_arrays(
-        time_step=seen["steps"],
-        angular_velocity=seen["gyr"],
-        velocity=np.zeros_like(seen["gyr"]),
-        vectors=vectors,
+        time_step=padded["steps"],
+        angular_velocity=padded["gyr"],
+        velocity=np.zeros_like(padded["gyr"]),
+        vectors=np.stack([padded["acc"], padded["mag"]], axis=1),
         vector_references=references,
         dtype=np.float64,
     )
+    measurements = jax.tree.map(np.asarray, measurements)
     state = filter.start(initial_state(np.array(start), np.zeros(3)), Sensors(2, 0))
     assert jax.tree.leaves(state)[0].dtype == np.float64
-
-    def look(total: Any, view: Any, entry: Any) -> Any:
-        return total, (view.estimate.attitude, view.estimate.bias_angular)
-
-    last, _, (q, b) = run(look, filter, samples_of(filter, measurements), state)
-    w, x, y, z = map(np.asarray, q)
-    return last, {
+    parts = []
+    for k in range(0, K, AT_ONCE):
+        rows = jax.tree.map(lambda a, k=k: a[k : k + AT_ONCE], measurements)
+        state, stored = some(filter, rows, state, min(AT_ONCE, K - k))
+        parts.append(jax.tree.map(np.asarray, stored))
+    (w, x, y, z), b = jax.tree.map(lambda *a: np.concatenate(a)[:K], *parts)
+    return state, {
         "R": Rotation.from_quat(np.stack([x, y, z, w], 1)).as_matrix(),
         "b": np.stack(b, 1),
     }

@@ -133,7 +133,7 @@ def test_without_jumps_the_shorter_step_is_the_same() -> None:
     rng = np.random.default_rng(2)
     m = as_arrays(random_measurements(rng, COUNT, 2, 1), np.float64)
     events = some_events(rng, COUNT)._replace(jumps=jnp.zeros((COUNT, 6)))
-    initial = state_of(np.eye(4))
+    initial = state_of(np.eye(4), learnt_vectors=2)
     both = [states(filter_of(np.float64), m, events, initial, jumps) for jumps in (True, False)]
     for a, b in zip(*map(jax.tree.leaves, both), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-7)

@@ -1,13 +1,9 @@
 """Short recorded motions as arrays."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
-
-from posegsa.recordings import running
 
 RATE = 100.0
 GRAVITY, EAST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
@@ -47,14 +43,6 @@ def bench(samples: int = 200, **changes: Any) -> dict[str, Any]:
     """`motion` with the sensors of the default scenario: two vectors and one landmark."""
     seen = motion(samples)["landmarks"][:, :1]
     return motion(samples, **{"landmarks": seen, "landmark_references": LANDMARKS[:1]} | changes)
-
-
-@pytest.fixture(scope="module")
-def short_parts() -> Iterator[None]:
-    """Recordings are filtered in parts of one length, so that all lengths run one program."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "PART", 100)
-        yield
 
 
 # An inertial sensor -------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ import pytest
 from helpers.experiments import tiny
 from helpers.messages import assert_states
 from helpers.recordings import bench
-from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa import config
@@ -29,8 +28,6 @@ from posegsa.search.problem import TuningProblem
 from posegsa.search.recorded import recorded_problem
 from posegsa.search.run_search import Found, first_search
 from posegsa.steps import Step
-
-pytestmark = pytest.mark.usefixtures("short_parts")
 
 GAMMA, SCALE = (
     {"key": key, "lower": 0.01, "upper": upper}

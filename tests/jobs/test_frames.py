@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from helpers.messages import assert_states
 from helpers.recordings import inertial_motion
-from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa.cli.command import main
@@ -19,7 +18,6 @@ from posegsa.recordings.rotations import quaternions
 
 pytestmark = [
     pytest.mark.filterwarnings("always::posegsa.errors.PosegsaWarning"),
-    pytest.mark.usefixtures("short_parts"),
 ]
 
 

@@ -11,7 +11,6 @@ import pytest
 from helpers.experiments import tiny
 from helpers.messages import assert_states
 from helpers.recordings import bench, inertial_motion, motion
-from helpers.recordings import short_parts as short_parts
 from scipy.spatial.transform import Rotation
 
 import posegsa
@@ -27,7 +26,6 @@ from posegsa.saving.replay_files import folder_names
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning"),
-    pytest.mark.usefixtures("short_parts"),
 ]
 
 SEEN = "vector_weights", "landmark_weights"

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 def whole(tmp_path_factory) -> tuple[Path, Sweep]:
     """A sweep of two values with two seeds each, in two batches, and its folder."""
     folder = tmp_path_factory.mktemp("sweep") / "whole"
-    found = posegsa.sweep(tiny(), vary={GAMMA: GAMMAS}, seeds=2, together=3, out=folder)
+    found = posegsa.sweep(tiny(), vary={GAMMA: GAMMAS}, seeds=2, together=2, out=folder)
     return folder, found
 
 

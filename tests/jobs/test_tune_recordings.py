@@ -15,7 +15,6 @@ import pytest
 from helpers.experiments import TINY as SCENARIOS
 from helpers.messages import assert_states
 from helpers.recordings import bench
-from helpers.recordings import short_parts as short_parts
 
 import posegsa
 from posegsa import config
@@ -42,8 +41,6 @@ from posegsa.search.run_search import Found, first_search
 from posegsa.search.search_spaces import rule_indices
 from posegsa.settings.plain import plain
 from posegsa.steps import Step
-
-pytestmark = pytest.mark.usefixtures("short_parts")
 
 TINY = {
     "filter": {"vector_bias": "off", "cross_vector": False, "gamma_law": "fixed"},

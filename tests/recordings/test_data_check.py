@@ -20,16 +20,18 @@ from posegsa.recordings.frames import UP, Frame
 from posegsa.recordings.recording import Recording
 
 COUNT, STEP = 1500, 0.01
+BRIEF = 800
+"""Samples that suffice to name a mistake."""
 GRAVITY, FIELD = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.44, -0.9])
 PLACES = np.array([[4.0, 1.0, 0.5], [-3.0, 4.0, 1.0], [0.5, -4.0, 2.0]])
 Arguments = dict[str, Any]
 
 
 @cache
-def flown(seed: int = 4) -> Arguments:
+def flown(seed: int = 4, count: int = COUNT) -> Arguments:
     """A tumbling flight by SciPy's rotations, with noise and biases."""
     rng = np.random.default_rng(seed)
-    t = STEP * np.arange(COUNT + 1)
+    t = STEP * np.arange(count + 1)
     angles = np.stack([0.9 * np.sin(0.9 * t), 0.7 * np.sin(1.3 * t + 1), 0.8 * t], axis=1)
     turn = Rotation.from_euler("xyz", angles)
     P = np.stack([3 * np.sin(0.7 * t), 2 * np.cos(0.5 * t), 1 + 0.5 * np.sin(1.1 * t)], axis=1)
@@ -40,9 +42,9 @@ def flown(seed: int = 4) -> Arguments:
     vectors = np.einsum("kji,nj->kni", R, np.stack([GRAVITY, FIELD]))
     landmarks = np.einsum("kji,knj->kni", R, PLACES - P[:, None])
     landmarks += 0.03 * rng.normal(size=landmarks.shape)
-    landmarks[np.arange(COUNT) % 5 != 0] = np.nan
+    landmarks[np.arange(count) % 5 != 0] = np.nan
     return {
-        "time": STEP * np.arange(COUNT),
+        "time": STEP * np.arange(count),
         "angular_velocity": rate + [0.02, -0.01, 0.01] + 0.005 * rng.normal(size=rate.shape),
         "velocity": moved + [0.05, 0.05, -0.05] + 0.03 * rng.normal(size=moved.shape),
         "vectors": vectors + 0.02 * rng.normal(size=vectors.shape),
@@ -250,7 +252,7 @@ WITHOUT_TRUTH = ("degrees", "axis of the gyroscope", "axes of the velocity", "la
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_is_named_and_nothing_else(name: str) -> None:
     planted, words = MISTAKES[name]
-    found = check(Recording.from_arrays(**planted(flown()))).findings
+    found = check(Recording.from_arrays(**planted(flown(count=BRIEF)))).findings
     assert len(found) == 1, found
     assert re.search(words, found[0])
 
@@ -258,7 +260,7 @@ def test_a_mistake_is_named_and_nothing_else(name: str) -> None:
 @pytest.mark.parametrize("name", WITHOUT_TRUTH)
 def test_some_are_named_without_a_truth(name: str) -> None:
     planted, words = MISTAKES[name]
-    given = planted(flown()) | {"truth_quaternion": None, "truth_position": None}
+    given = planted(flown(count=BRIEF)) | {"truth_quaternion": None, "truth_position": None}
     found = check(Recording.from_arrays(**given)).findings
     assert len(found) == 1, found
     assert re.search(words, found[0])

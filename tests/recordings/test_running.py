@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from helpers.own_filter import Complementary
 from helpers.recordings import motion
-from helpers.recordings import short_parts as short_parts
 from helpers.schedules import K, tuned
 
 import posegsa
@@ -20,8 +19,6 @@ from posegsa.model.schedules import ConstantGain
 from posegsa.model.signal import SignalSettings
 from posegsa.recordings import running
 from posegsa.recordings.recording import Recording
-
-pytestmark = pytest.mark.usefixtures("short_parts")
 
 OBSERVER = Observer(ConstantGain(jnp.float32(8.0)))
 
