@@ -347,7 +347,6 @@ def test_each_compiler_on_simulated_input_in_both_precisions(build: Build, compi
     header = export_c(recommended_result())
     m, exact, single = simulated_runs()
     for real, dtype in (("double", np.float64), ("float", np.float32)):
-        real_of = f"-DPOSEGSA_REAL={real}"
         chosen = (f"-DPOSEGSA_REAL={real}", *sanitizers(compiler))
         options = options_of(case, *chosen, optimise="-O1")
         program = build(header, *options, compiler=compiler)

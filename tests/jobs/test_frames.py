@@ -11,14 +11,12 @@ from helpers.recordings import inertial_motion
 import posegsa
 from posegsa.cli.command import main
 from posegsa.errors import ArgumentError, RecordingError
-from posegsa.judging.evaluation import IMU_AS_IT_COMES, how_to_take
+from posegsa.judging.evaluation import IMU_AS_IT_COMES, advice
 from posegsa.recordings.frames import UP, Frame
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import quaternions
 
-pytestmark = [
-    pytest.mark.filterwarnings("always::posegsa.errors.PosegsaWarning"),
-]
+pytestmark = pytest.mark.filterwarnings("always::posegsa.errors.PosegsaWarning")
 
 
 @pytest.fixture(autouse=True)
@@ -118,5 +116,5 @@ def test_what_is_no_frame_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_commands_that_are_printed_carry_the_frame() -> None:
-    assert "imu --frame NED`" in how_to_take(IMU_AS_IT_COMES, "NED")
-    assert "--frame" not in how_to_take(IMU_AS_IT_COMES, "ENU")
+    assert "replay imu FILE --frame NED`" in advice("NED")[IMU_AS_IT_COMES]
+    assert "--frame" not in advice("ENU")[IMU_AS_IT_COMES]
