@@ -7,9 +7,21 @@
     posegsa_real time; /* since the first sample [s] */
 {% endif %}
 {% endblock %}
+{% block checks %}
+
+/* Whether none of n numbers is NaN. */
+static inline int posegsa_are_numbers(const posegsa_real *x, int n)
+{
+    int i, nan = 0;
+    for (i = 0; i < n; ++i) { /* no branches, so that compilers use vectors */
+        nan |= x[i] != x[i];
+    }
+    return !nan;
+}
+{% endblock %}
 {% block memory_is_fine %}
 {% for field in memory %}
-           posegsa_are_within({{ "" if field.size else "&" }}state->{{ field.name }}, {{ field.size or 1 }}, POSEGSA_C(INFINITY)) &&
+           posegsa_are_numbers({{ "" if field.size else "&" }}state->{{ field.name }}, {{ field.size or 1 }}) &&
 {% endfor %}
            posegsa_are_finite(state->{{ "bias_angular" if attitude_only else "bias_linear" }}, 3);
 {% endblock %}
@@ -44,6 +56,9 @@
         return POSEGSA_NOT_FINITE;
     }
     *state = begun;
+{% endblock %}
+{% block after %}
+    posegsa_state after, *const next = &after; /* a step sets all of it */
 {% endblock %}
 {% block advance %}
 {% if uses_reach %}

@@ -12,7 +12,7 @@
  *     int main(void) {
  *         const posegsa_real turned[4] = {2, 1, 0, 0}{{ "" if attitude_only else ", origin[3] = {0, 0, 0}" }};
  *         posegsa_state filter;
- *         posegsa_init(&filter, turned{{ "" if attitude_only else ", origin" }}); // initial error 53 degrees
+ *         if (posegsa_init(&filter, turned{{ "" if attitude_only else ", origin" }}) != POSEGSA_OK) return 1; // 53 deg off
  *         for (int k = 0; k < 1000; ++k) { // 10 s at 100 Hz, the body at rest and upright
 {% if vectors %}
  *             for (int i = 0; i < 3 * POSEGSA_VECTORS; ++i)
@@ -230,6 +230,8 @@ static inline int posegsa_are_finite(const posegsa_real *x, int n)
     }
     return 1;
 }
+{% block checks %}
+{% endblock %}
 
 /* Whether an estimate is valid: all numbers finite, and a quaternion of length 1. */
 static inline int posegsa_is_estimate(const posegsa_state *state)
@@ -293,7 +295,9 @@ static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *
                                posegsa_real dt)
 {
     const posegsa_state *const now = state; /* the estimate at the sample */
+{% block after %}
     posegsa_state after = *state, *const next = &after;
+{% endblock %}
     posegsa_measurement taken, *const seen = &taken; /* 0 where something is missing */
 {% block step_variables %}
     int i;

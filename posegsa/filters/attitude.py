@@ -233,6 +233,9 @@ class AttitudeState(NamedTuple):
     """Time for which d has been above DOUBTED [s]."""
     astray_time: Array
     """Time of believed fields since the field last pointed about north [s]."""
+    forget: Array
+    """1 after a pause, when the next sample forgets velocity and attitude; 2 if the attitude is
+    lost: the bias's variance too; else 0."""
     upwards: Array
     """Mean vertical part of the acceleration over UPRIGHT_TIME, in multiples of gravity."""
     slow_turning: Vec3
@@ -250,14 +253,17 @@ class AttitudeState(NamedTuple):
     @property
     def heading_deviation(self) -> Array:
         """Standard deviation of the heading [rad]."""
-        return safe_sqrt(entry_of(self.covariance, UP, UP))
+        known = safe_sqrt(entry_of(self.covariance, UP, UP))
+        return choose(self.forget > 0, jnp.full_like(known, INITIAL_HEADING), known)
 
     @property
     def inclination_deviation(self) -> Array:
         """Standard deviation of the inclination [rad]."""
-        return safe_sqrt(
+        known = safe_sqrt(
             entry_of(self.covariance, EAST, EAST) + entry_of(self.covariance, NORTH, NORTH)
         )
+        unknown = math.sqrt(2) * INITIAL_INCLINATION
+        return choose(self.forget > 0, jnp.full_like(known, unknown), known)
 
 
 @jax.tree_util.register_dataclass
@@ -326,6 +332,7 @@ class AttitudeFilter:
             field_refused=zero,
             field_doubted=zero,
             astray_time=zero,
+            forget=zero,
             upwards=zero + 1,
             slow_turning=zeros,
             slow_force=zeros,
@@ -378,24 +385,29 @@ class AttitudeFilter:
         # A sample stands for the time until the next one, but not for a pause.
         paused, span = dt > LONGEST_PAUSE, minimum(dt, LONGEST_PAUSE)
         started = q, state.velocity, state.covariance
-        q, velocity, covariance = only_if(
-            level | first, lambda old: _set(old, level, first, axes, a, m), started
-        )
+        astray = state.astray_time >= ASTRAY_TIME
+
+        def set_(old: Started) -> Started:
+            q, velocity, covariance = _forgotten(old, state.forget, numbers.initial_bias)
+            return _set((q, velocity, covariance), level, first, astray, axes, a, m)
+
+        changes = level | first | astray | (state.forget > 0)
+        q, velocity, covariance = only_if(changes, set_, started)
 
         R = _in(axes, rows(q))
         still, slow_turning, slow_force = _stillness(state, gyr, a, of_force, span)
         still_time = choose(still, state.still_time + span, 0.0)
         rests = still_time >= REST_TIME
-        state = state._replace(upright=upright, velocity=velocity, covariance=covariance)
+        state = state._replace(
+            upright=upright, velocity=velocity, covariance=covariance, forget=jnp.zeros_like(dt)
+        )
         # A slow magnetometer's sample speaks for the time since the one before.
         field_span = span + state.field_gap
         state = self._with_field(state, R, omega, m, of_field, field_span, first, wrong)
 
         # Corrections, each by a scalar measurement.
         correction = (jnp.zeros_like(dt),) * STATES
-        unknown = forgotten(state.covariance, {UP: jnp.full_like(dt, INITIAL_HEADING**2)})
-        astray = state.astray_time >= ASTRAY_TIME
-        found = jax.tree.map(partial(choose, astray), unknown, state.covariance), correction
+        found = state.covariance, correction
         spread = choose(rests, jnp.full_like(dt, REST_VELOCITY), numbers.velocity)
         felt = choose(of_force > 0, span, 0.0)
         for i in range(2):
@@ -423,15 +435,15 @@ class AttitudeFilter:
         f = rotate(rows((cosine, *scale(sine, angle))), f)
 
         believed = choose((of_field > 0) & (state.field_belief > 0.5), field_span, 0.0)
-        astray = f[1] < ASTRAY * safe
-        astray_time = choose(astray, state.astray_time + believed, 0.0)
+        elsewhere = f[1] < ASTRAY * safe
+        astray_time = choose(elsewhere, state.astray_time + believed, 0.0)
         astray_time = choose(of_field > 0, astray_time, state.astray_time)
 
         # The time until the next sample.
         R = _in(axes, rows(q))
         pushed = rotate(R, force.measured)
         v = v[0] + felt * pushed[EAST], v[1] + felt * pushed[NORTH]
-        up = maximum(minimum(pushed[UP] / gravity, 1.0), -1.0)
+        up = maximum(minimum(pushed[UP] * (1 / gravity), 1.0), -1.0)
         upwards = state.upwards + felt * (1 / UPRIGHT_TIME) * (up - state.upwards)
         omega = subtract(gyr, bias)
         next_attitude = product(q, _rotation_by(scale(dt, omega)))
@@ -462,8 +474,7 @@ class AttitudeFilter:
             still_time=still_time,
         )
         lost = upwards < UPSIDE_DOWN
-        anew = _anew(after, lost, numbers.initial_bias)
-        return jax.tree.map(partial(choose, paused | lost), anew, after), Record()
+        return _anew(after, paused, lost), Record()
 
     def _at_rest(self, found: Found, omega: Vec3, dt: Array) -> Found:
         """After what the gyroscope measures of its bias at rest.
@@ -506,9 +517,10 @@ class AttitudeFilter:
         age = choose(first, zero, state.field_age)
         time = span * factor
         slow, speed = unrotate(R, before), norm(omega)
-        # A body turns by little within the delay; what a faulty gyroscope says stays bounded, as f
-        # would grow without limit where the turn is above 1 rad.
-        delay = numbers.magnetometer_delay / maximum(numbers.magnetometer_delay * speed, 1.0)
+        # A body turns by little within the delay: more than 1 rad is a fault of the gyroscope, with
+        # which f would grow without limit.
+        delay = numbers.magnetometer_delay
+        delay = choose(delay * speed < 1, delay, 0.0)
         m = subtract(subtract(measured, iron), scale(delay, cross(omega, slow)))
         earthly = rotate(R, m)
         level = norm((earthly[EAST], earthly[NORTH], zero))
@@ -562,30 +574,38 @@ def _at_start(zero: Array) -> dict[int, Array]:
     return {state: zero + deviation * deviation for state, deviation in deviations.items()}
 
 
-def _anew(state: AttitudeState, lost: Array, initial_bias: Array) -> AttitudeState:
-    """The state before a start: what is known of the attitude is forgotten.
+def _anew(state: AttitudeState, paused: Array, lost: Array) -> AttitudeState:
+    """The state before a start, after a pause or where the attitude is lost; else as it is.
 
-    Args:
-        state: after a sample.
-        lost: whether the estimate was wrong, so that bias and iron are wrong too; else they stay.
-        initial_bias: its standard deviation at the start [rad/s].
+    Where it is lost, bias and iron are wrong too. The next sample forgets the covariance.
     """
     zero = jnp.zeros_like(state.last_step)
+    ends = paused | lost
+    return state._replace(
+        estimate=state.estimate._replace(bias_angular=_where(lost, state.estimate.bias_angular)),
+        iron=_where(lost, state.iron),
+        forget=choose(lost, zero + 2, choose(paused, zero + 1, zero)),
+        upwards=choose(ends, zero + 1, state.upwards),
+        upright=choose(ends, zero, state.upright),
+        field_age=choose(ends, zero - 1, state.field_age),
+        still_time=choose(ends, zero, state.still_time),
+    )
+
+
+def _forgotten(old: Started, forget: Array, initial_bias: Array) -> Started:
+    """Attitude, velocity and covariance after `AttitudeState.forget`.
+
+    `initial_bias` is the bias's standard deviation at the start [rad/s].
+    """
+    q, velocity, covariance = old
+    zero = jnp.zeros_like(forget)
     attitude_and_velocity = _at_start(zero)
     of_bias = dict.fromkeys(range(BIAS, VELOCITY), zero + initial_bias * initial_bias)
-    kept = forgotten(state.covariance, attitude_and_velocity)
-    nothing = forgotten(state.covariance, attitude_and_velocity | of_bias)
-    bias = _where(lost, state.estimate.bias_angular)
-    return state._replace(
-        estimate=state.estimate._replace(bias_angular=bias),
-        iron=_where(lost, state.iron),
-        upwards=zero + 1,
-        velocity=(zero, zero),
-        covariance=jax.tree.map(partial(choose, lost), nothing, kept),
-        upright=zero,
-        field_age=zero - 1,
-        still_time=zero,
-    )
+    paused = forgotten(covariance, attitude_and_velocity)
+    lost = forgotten(covariance, attitude_and_velocity | of_bias)
+    covariance = jax.tree.map(partial(choose, forget > 0), paused, covariance)
+    covariance = jax.tree.map(partial(choose, forget > 1), lost, covariance)
+    return q, _where(forget > 0, velocity), covariance
 
 
 def _check_vectors(count: int) -> None:
@@ -655,7 +675,13 @@ def _smallest_rotation(a: Vec3, b: Vec3, across: Vec3) -> Quaternion:
 
 
 def _set(
-    old: Started, level: Array, first: Array, axes: Matrix3, force: Vec3, field_seen: Vec3
+    old: Started,
+    level: Array,
+    first: Array,
+    astray: Array,
+    axes: Matrix3,
+    force: Vec3,
+    field_seen: Vec3,
 ) -> Started:
     """The attitude after the first acceleration and the first field.
 
@@ -666,6 +692,7 @@ def _set(
         old: attitude, velocity and covariance before them.
         level: whether the acceleration is the first.
         first: whether the field is.
+        astray: whether the heading is unknown again.
         axes: east, north and up in the inertial frame.
         force: the acceleration, body frame.
         field_seen: the field, body frame.
@@ -680,7 +707,7 @@ def _set(
     cosine = choose(first, dot(level_part, axes[NORTH]), 1.0)
     covariance = turned_about_up(covariance, cosine, sine)
     anew = forgotten(covariance, {UP: jnp.full_like(sine, INITIAL_HEADING**2)})
-    covariance = jax.tree.map(partial(choose, first), anew, covariance)
+    covariance = jax.tree.map(partial(choose, first | astray), anew, covariance)
     return q, turned(velocity, cosine, sine), covariance
 
 

@@ -390,7 +390,7 @@ def test_without_a_configuration_the_noises_are_those_that_the_recordings_show()
     assert list(found.filter.also) == keys
     # The summary ends with the best filter on the held-out recordings.
     last = found.summary().split("Tuned: filter.angular_velocity")[1]
-    assert "On what was held out the filter errs by" in last
+    assert "Best on what was held out: this filter" in last
     assert KALMAN_AS_IT_COMES in last
 
 
