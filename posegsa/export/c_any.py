@@ -55,7 +55,8 @@ _KNOWN_FIELDS = {
     },
     AttitudeFilter: {
         "covariance": "upper triangle by rows: attitude error about east, north and up [rad^2], "
-        "bias, velocity",
+        "bias, velocity; [0] + [8] is the inclination's variance, [15] the heading's",
+        "forget": "1 or 2 where the next step forgets the covariances, but not the variances",
         "velocity": "to the east and north [m/s]",
         "field": "mean magnetic field to the east, north and up",
         "iron": "mean field that turns with the body, body frame",
@@ -116,6 +117,7 @@ def any_filter(
     return {
         "title": "an attitude filter" if step.alone else "a pose filter",
         "attitude_only": step.alone,
+        "may_be_set": "" if step.alone else ", and set",
         "purpose": comment(_purpose(filter, known, states)),
         "vectors": len(v),
         "landmarks": len(p),

@@ -157,6 +157,7 @@ def _observer(
     values: dict[str, Any] = {
         "title": f"{kind} filter with a scheduled gain",
         "attitude_only": step.attitude_only,
+        "may_be_set": ", and set",
         "purpose": comment(_purpose(known, settings, step)),
         "vectors": len(known.vectors),
         "landmarks": len(known.landmarks),

@@ -39,8 +39,8 @@
  * NaN. So does a vector of length 0. Any other number that is NaN, or beyond the
  * limits below, is refused with POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would
  * not be finite, or whose quaternion would not have length 1, is refused with POSEGSA_NOT_FINITE. A
- * refused sample leaves the state as it was: let the next dt cover its time too. Pointers must be
- * valid.
+ * refused sample leaves the state as it was: let the next dt cover its time too. If good samples
+ * are refused again and again, start anew with posegsa_init. Pointers must be valid.
 {% endblock %}
  *
  * PRECISION, MEMORY, THREADS
@@ -114,7 +114,7 @@ typedef struct posegsa_measurement {
 {% endif %}
 } posegsa_measurement;
 
-/* The state of a filter, set by posegsa_init. The estimates may be read and set at any time. */
+/* The state of a filter, set by posegsa_init. The estimates may be read at any time{{ may_be_set }}. */
 typedef struct posegsa_state {
     posegsa_real attitude[4];     /* quaternion w, x, y, z, body to inertial */
 {% if not attitude_only %}

@@ -196,6 +196,13 @@ class AttitudeNumbers(NamedTuple):
     """An acceleration or a field more than this many times as long as its reference is ignored."""
 
 
+def _root(variance: Array) -> Array:
+    """Standard deviation; of a stream's state, which is in NumPy, in its own precision."""
+    if isinstance(variance, np.ndarray | np.generic):
+        return cast(Array, np.sqrt(np.maximum(variance, 0)))
+    return safe_sqrt(variance)
+
+
 class AttitudeState(NamedTuple):
     """The filter between two samples."""
 
@@ -234,8 +241,8 @@ class AttitudeState(NamedTuple):
     astray_time: Array
     """Time of believed fields since the field last pointed about north [s]."""
     forget: Array
-    """1 after a pause, when the next sample forgets velocity and attitude; 2 if the attitude is
-    lost: the bias's variance too; else 0."""
+    """1 after a pause: the next sample forgets the covariances of attitude and velocity; 2 if the
+    attitude is lost: those of the bias too; else 0."""
     upwards: Array
     """Mean vertical part of the acceleration over UPRIGHT_TIME, in multiples of gravity."""
     slow_turning: Vec3
@@ -253,17 +260,13 @@ class AttitudeState(NamedTuple):
     @property
     def heading_deviation(self) -> Array:
         """Standard deviation of the heading [rad]."""
-        known = safe_sqrt(entry_of(self.covariance, UP, UP))
-        return choose(self.forget > 0, jnp.full_like(known, INITIAL_HEADING), known)
+        return _root(entry_of(self.covariance, UP, UP))
 
     @property
     def inclination_deviation(self) -> Array:
         """Standard deviation of the inclination [rad]."""
-        known = safe_sqrt(
-            entry_of(self.covariance, EAST, EAST) + entry_of(self.covariance, NORTH, NORTH)
-        )
-        unknown = math.sqrt(2) * INITIAL_INCLINATION
-        return choose(self.forget > 0, jnp.full_like(known, unknown), known)
+        east, north = (entry_of(self.covariance, i, i) for i in (EAST, NORTH))
+        return _root(east + north)
 
 
 @jax.tree_util.register_dataclass
@@ -388,7 +391,8 @@ class AttitudeFilter:
         astray = state.astray_time >= ASTRAY_TIME
 
         def set_(old: Started) -> Started:
-            q, velocity, covariance = _forgotten(old, state.forget, numbers.initial_bias)
+            q, velocity, covariance = old
+            covariance = _uncorrelated(covariance, state.forget)
             return _set((q, velocity, covariance), level, first, astray, axes, a, m)
 
         changes = level | first | astray | (state.forget > 0)
@@ -474,7 +478,7 @@ class AttitudeFilter:
             still_time=still_time,
         )
         lost = upwards < UPSIDE_DOWN
-        return _anew(after, paused, lost), Record()
+        return _anew(after, paused, lost, numbers.initial_bias), Record()
 
     def _at_rest(self, found: Found, omega: Vec3, dt: Array) -> Found:
         """After what the gyroscope measures of its bias at rest.
@@ -519,8 +523,7 @@ class AttitudeFilter:
         slow, speed = unrotate(R, before), norm(omega)
         # A body turns by little within the delay: more than 1 rad is a fault of the gyroscope, with
         # which f would grow without limit.
-        delay = numbers.magnetometer_delay
-        delay = choose(delay * speed < 1, delay, 0.0)
+        delay = numbers.magnetometer_delay / maximum(numbers.magnetometer_delay * speed, 1.0)
         m = subtract(subtract(measured, iron), scale(delay, cross(omega, slow)))
         earthly = rotate(R, m)
         level = norm((earthly[EAST], earthly[NORTH], zero))
@@ -574,15 +577,24 @@ def _at_start(zero: Array) -> dict[int, Array]:
     return {state: zero + deviation * deviation for state, deviation in deviations.items()}
 
 
-def _anew(state: AttitudeState, paused: Array, lost: Array) -> AttitudeState:
+def _anew(state: AttitudeState, paused: Array, lost: Array, initial_bias: Array) -> AttitudeState:
     """The state before a start, after a pause or where the attitude is lost; else as it is.
 
-    Where it is lost, bias and iron are wrong too. The next sample forgets the covariance.
+    Where it is lost, bias and iron are wrong too. Of the covariance the variances, which users
+    read, are set; the next sample forgets the rest, which costs nothing at the others.
+    `initial_bias` is the bias's standard deviation at the start [rad/s].
     """
     zero = jnp.zeros_like(state.last_step)
     ends = paused | lost
+    rows = [list(row) for row in state.covariance]
+    for i, variance in _at_start(zero).items():
+        rows[i][0] = choose(ends, variance, rows[i][0])
+    for i in range(BIAS, VELOCITY):
+        rows[i][0] = choose(lost, zero + initial_bias * initial_bias, rows[i][0])
     return state._replace(
         estimate=state.estimate._replace(bias_angular=_where(lost, state.estimate.bias_angular)),
+        velocity=_where(ends, state.velocity),
+        covariance=tuple(map(tuple, rows)),
         iron=_where(lost, state.iron),
         forget=choose(lost, zero + 2, choose(paused, zero + 1, zero)),
         upwards=choose(ends, zero + 1, state.upwards),
@@ -592,20 +604,15 @@ def _anew(state: AttitudeState, paused: Array, lost: Array) -> AttitudeState:
     )
 
 
-def _forgotten(old: Started, forget: Array, initial_bias: Array) -> Started:
-    """Attitude, velocity and covariance after `AttitudeState.forget`.
-
-    `initial_bias` is the bias's standard deviation at the start [rad/s].
-    """
-    q, velocity, covariance = old
-    zero = jnp.zeros_like(forget)
-    attitude_and_velocity = _at_start(zero)
-    of_bias = dict.fromkeys(range(BIAS, VELOCITY), zero + initial_bias * initial_bias)
-    paused = forgotten(covariance, attitude_and_velocity)
-    lost = forgotten(covariance, attitude_and_velocity | of_bias)
-    covariance = jax.tree.map(partial(choose, forget > 0), paused, covariance)
-    covariance = jax.tree.map(partial(choose, forget > 1), lost, covariance)
-    return q, _where(forget > 0, velocity), covariance
+def _uncorrelated(covariance: Covariance, forget: Array) -> Covariance:
+    """The covariance after `AttitudeState.forget`: variances as they are."""
+    rows = [list(row) for row in covariance]
+    for i in range(STATES):
+        for j in range(i + 1, STATES):
+            of_bias = i >= BIAS and j < VELOCITY
+            forgets = forget > 1 if of_bias else forget > 0
+            rows[i][j - i] = choose(forgets, 0.0, rows[i][j - i])
+    return tuple(map(tuple, rows))
 
 
 def _check_vectors(count: int) -> None:

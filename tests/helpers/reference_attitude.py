@@ -96,7 +96,7 @@ def attitudes(
                 if wrong:
                     c = np.zeros(3)
             delay = n["magnetometer_delay"]
-            late = 0.0 if first or delay * np.linalg.norm(w) >= 1 else delay
+            late = 0.0 if first else delay / max(1.0, delay * float(np.linalg.norm(w)))
             earthly = R @ (m - c - late * np.cross(w, R.T @ f))
             now = np.array([np.hypot(earthly[0], earthly[1]), earthly[2]])
             if first:
