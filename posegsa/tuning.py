@@ -246,15 +246,23 @@ def _recorded(
 
 
 def _share_in(one: Recording, other: Recording) -> float:
-    """The share of the samples of `other` that are in `one` too, by their measured velocities.
+    """The share of the samples of `other` that are in `one` too: velocities and vectors.
 
-    It is 0 below a few hundred, and for a body at rest, where samples may agree by chance.
+    It is 0 below a few hundred, and for a body at rest, where samples may agree by chance, as those
+    of a gyroscope with few digits do.
     """
-    velocities = (
-        np.concatenate([np.asarray(m.angular_velocity), np.asarray(m.velocity)], axis=1)
-        for m in (one.measurements, other.measurements)
+    measured = (one.measurements, other.measurements)
+    vectors = [np.asarray(m.vectors) for m in measured]
+    if np.shape(vectors[0])[1:] != np.shape(vectors[1])[1:]:
+        vectors = [each[:, :0] for each in vectors]
+    samples = (
+        np.concatenate([m.angular_velocity, m.velocity, v.reshape(len(v), -1)], axis=1)
+        for m, v in zip(measured, vectors, strict=True)
     )
-    a, b = (np.ascontiguousarray(each, np.float64).view("V48")[:, 0] for each in velocities)
+    a, b = (
+        np.ascontiguousarray(each, np.float64).view(f"V{8 * each.shape[1]}")[:, 0]
+        for each in samples
+    )
     both = np.isin(b, a)
     certain = np.count_nonzero(both) > FEW_SHARED and len(np.unique(b)) > 0.5 * len(b)
     return float(np.mean(both)) if certain else 0.0

@@ -55,9 +55,10 @@ def verdict(
     if not better:
         name, losses = next(iter(others.items()))
         beside = f", beside {', '.join(list(others)[1:])}" if len(others) > 1 else ""
+        even = all(loss.mean > 0 for loss in losses)  # by too little to matter
         return (
-            f"Best on {where}: this filter, {own}; the next, {name}{beside}, errs "
-            f"{_listed(losses)}, with 95 % intervals: "
+            f"{'As good as any' if even else 'Best'} on {where}: this filter, {own}; the next, "
+            f"{name}{beside}, errs {_listed(losses)}{_intervals(losses)}: "
             f"{TAKE_IT.format(options=options)}."
         )
     (first, losses), *rest = better.items()
@@ -68,9 +69,13 @@ def verdict(
     else:
         todo = "that may be chance, so judge on more data (`posegsa evaluate`) before you change"
     return (
-        f"Best on {where}: {first}, which errs {_listed(losses)} than this filter, {own}{then}, "
-        f"with 95 % intervals: {todo}."
+        f"Best on {where}: {first}, which errs {_listed(losses)} than this filter, {own}{then}"
+        f"{_intervals(losses)}: {todo}."
     )
+
+
+def _intervals(losses: Sequence[Loss]) -> str:
+    return ", with 95 % intervals" if any(math.isfinite(loss.low) for loss in losses) else ""
 
 
 def _listed(losses: Sequence[Loss]) -> str:

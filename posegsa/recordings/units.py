@@ -24,6 +24,11 @@ ACCELERATIONS = 5.0, 40.0
 """Allowed range of the median length, which includes gravity [m/s^2]."""
 
 
+FASTEST, FAST_SHARE = 75.0, 0.01
+"""Angular velocity [rad/s] above the range of gyroscopes (4000 deg/s), and the share of samples
+that may be beyond it as outliers."""
+
+
 def check_units(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> None:
     """Raise a RecordingError if angular velocity or acceleration seem to be in a wrong unit.
 
@@ -45,6 +50,12 @@ def check_units(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> None:
         raise RecordingError(
             f"acc: has a median length of {median:.3g} m/s^2; allowed: specific force with gravity "
             "in it, about 9.8 m/s^2 at rest"
+        )
+    fast = float(np.mean(np.abs(gyr[finite_rows(gyr)]).max(axis=1) > FASTEST))
+    if fast > FAST_SHARE:
+        raise RecordingError(
+            f"gyr: is above {FASTEST:g} in {100 * fast:.2g} % of the samples, which no gyroscope "
+            "measures in rad/s, so it looks like deg/s; allowed: rad/s (np.deg2rad makes them)"
         )
     unit = gyroscope_unit(gyr, acc, time_step)
     if unit is not None and DEGREE / 2 < unit < DEGREE * 2:

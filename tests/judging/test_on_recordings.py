@@ -32,7 +32,7 @@ def test_filters_that_err_less_are_named_the_largest_loss_first() -> None:
     few = "(too few data for an interval)"
     assert words.startswith(
         f"Best on what was held out: invariant EKF, which errs 0.19 deg less {few} and 1.47 cm "
-        f"less {few} than this filter, 0.31 deg and 2.87 cm; then VQF, 0.11 deg less {few}, with"
+        f"less {few} than this filter, 0.31 deg and 2.87 cm; then VQF, 0.11 deg less {few}: that"
     )
     assert "other" not in words
     assert ". " not in words, "one sentence"
@@ -58,10 +58,12 @@ def test_one_that_is_better_for_sure_is_to_be_taken_and_how() -> None:
 def test_where_none_is_better_it_says_so() -> None:
     words = verdict((0.2, None), Madgwick=(0.5, None), VQF=(0.199, None))
     assert words.startswith(
-        "Best on what was held out: this filter, 0.2 deg; the next, VQF, beside Madgwick, errs "
-        "0.001 deg less (too few data"
+        "As good as any on what was held out: this filter, 0.2 deg; the next, VQF, beside "
+        "Madgwick, errs 0.001 deg less (too few data for an interval): take it"
     )
-    assert "take it, `posegsa export" in words
+    assert "`posegsa export" in words
+    words = verdict((0.2, None), Madgwick=(0.5, None))
+    assert words.startswith("Best on what was held out: this filter, 0.2 deg; the next, Madgwick")
 
 
 def test_a_filter_that_is_lost_loses() -> None:

@@ -28,6 +28,16 @@ def test_degrees_per_second_are_refused() -> None:
         check_units(np.degrees(given["gyr"]), given["acc"], STEP)
 
 
+def test_what_no_gyroscope_measures_is_refused_though_the_body_shakes() -> None:
+    rng = np.random.default_rng(0)
+    gyr, acc = rng.normal(0, 3, (500, 3)), rng.normal(0, 10, (500, 3))
+    check_units(gyr, acc, STEP)
+    gyr[:4] = 1000.0  # outliers
+    check_units(gyr, acc, STEP)
+    with pytest.raises(RecordingError, match=r"gyr: is above 75 in .* deg/s"):
+        check_units(np.degrees(gyr), acc, STEP)
+
+
 @pytest.mark.parametrize("every", [2, 10])
 def test_a_slow_accelerometer_shows_degrees_too(every: int) -> None:
     given = inertial_motion(1.0, 10.0, noise=1.0)
