@@ -521,8 +521,8 @@ class AttitudeFilter:
         age = choose(first, zero, state.field_age)
         time = span * factor
         slow, speed = unrotate(R, before), norm(omega)
-        # A body turns by little within the delay: more than 1 rad is a fault of the gyroscope, with
-        # which f would grow without limit.
+        # A body turns by little within the delay. More than 1 rad is a fault of the gyroscope: it
+        # counts as 1 rad, as f would grow without limit.
         delay = numbers.magnetometer_delay / maximum(numbers.magnetometer_delay * speed, 1.0)
         m = subtract(subtract(measured, iron), scale(delay, cross(omega, slow)))
         earthly = rotate(R, m)
@@ -586,15 +586,15 @@ def _anew(state: AttitudeState, paused: Array, lost: Array, initial_bias: Array)
     """
     zero = jnp.zeros_like(state.last_step)
     ends = paused | lost
-    rows = [list(row) for row in state.covariance]
+    entries = [list(row) for row in state.covariance]
     for i, variance in _at_start(zero).items():
-        rows[i][0] = choose(ends, variance, rows[i][0])
+        entries[i][0] = choose(ends, variance, entries[i][0])
     for i in range(BIAS, VELOCITY):
-        rows[i][0] = choose(lost, zero + initial_bias * initial_bias, rows[i][0])
+        entries[i][0] = choose(lost, zero + initial_bias * initial_bias, entries[i][0])
     return state._replace(
         estimate=state.estimate._replace(bias_angular=_where(lost, state.estimate.bias_angular)),
         velocity=_where(ends, state.velocity),
-        covariance=tuple(map(tuple, rows)),
+        covariance=tuple(map(tuple, entries)),
         iron=_where(lost, state.iron),
         forget=choose(lost, zero + 2, choose(paused, zero + 1, zero)),
         upwards=choose(ends, zero + 1, state.upwards),
@@ -606,13 +606,13 @@ def _anew(state: AttitudeState, paused: Array, lost: Array, initial_bias: Array)
 
 def _uncorrelated(covariance: Covariance, forget: Array) -> Covariance:
     """The covariance after `AttitudeState.forget`: variances as they are."""
-    rows = [list(row) for row in covariance]
+    entries = [list(row) for row in covariance]
     for i in range(STATES):
         for j in range(i + 1, STATES):
             of_bias = i >= BIAS and j < VELOCITY
             forgets = forget > 1 if of_bias else forget > 0
-            rows[i][j - i] = choose(forgets, 0.0, rows[i][j - i])
-    return tuple(map(tuple, rows))
+            entries[i][j - i] = choose(forgets, 0.0, entries[i][j - i])
+    return tuple(map(tuple, entries))
 
 
 def _check_vectors(count: int) -> None:

@@ -112,7 +112,7 @@ def test_what_is_no_frame_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
     with pytest.raises(RecordingError, match=r"frame = 'NED'.*with an accelerometer"):
         Recording.from_arrays(time_step=0.01, angular_velocity=np.zeros((9, 3)), frame="NED")
     with pytest.raises(ArgumentError, match=r"frame = 'END'.*ENU, NED, NWU"):
-        posegsa.configured("imu").in_frame("END")  # type: ignore[arg-type]
+        posegsa.configured("imu").in_frame("END")  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_commands_that_are_printed_carry_the_frame() -> None:

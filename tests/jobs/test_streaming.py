@@ -576,3 +576,18 @@ def test_names_of_inertial_sensors_are_only_of_the_attitude_filter(result) -> No
 def test_the_attitude_filter_needs_two_references_that_are_not_parallel() -> None:
     with pytest.raises(ArgumentError, match="vector_references: are parallel"):
         posegsa.PoseFilter("imu", vector_references=[[0, 0, 9.81], [0, 0, -1]])
+
+
+def test_after_a_pause_an_attitude_stream_states_that_it_knows_nothing() -> None:
+    stream = posegsa.PoseFilter("imu")
+    seen = {"gyr": np.zeros(3), "acc": [0.0, 0.0, 9.81], "mag": [0.0, 20.0, -40.0]}
+    for _ in range(2000):
+        stream.update(time_step=0.01, **seen)
+    known = stream.own_state
+    assert known.heading_deviation < 0.1
+    assert known.heading_deviation.dtype == known.inclination_deviation.dtype == np.float64
+    stream.update(time_step=10.0, **seen)
+    unknown = stream.own_state
+    assert unknown.heading_deviation == pytest.approx(1.0)
+    assert unknown.inclination_deviation == pytest.approx(0.35 * np.sqrt(2))
+    assert unknown.velocity == (0, 0)
