@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field
 from posegsa.config.schedule_config import DEFAULT_ALSO
 from posegsa.config.tunable import AlsoTuned
 from posegsa.filters.attitude import Interval
-from posegsa.filters.measurement_model import BeliefInput
+from posegsa.filters.belief import BeliefInput
 from posegsa.filters.observer import GainLaw, LandmarkUnit, Law
 from posegsa.model.schedules import SCHEDULES
 from posegsa.settings.choice import Choice

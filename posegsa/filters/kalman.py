@@ -62,7 +62,6 @@ and 634, with the sensors' true noise 188 and 629.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -71,6 +70,14 @@ from jax import Array, lax
 
 from posegsa.arguments import check_type, refuse
 from posegsa.filters.base import Record, Samples, Sensors, with_vector_biases
+from posegsa.filters.belief import (
+    BeliefInput,
+    BeliefMemory,
+    as_believed,
+    belief_factors,
+    initial_beliefs,
+    residuals,
+)
 from posegsa.filters.covariance import (
     ANGULAR,
     LINEAR,
@@ -86,12 +93,9 @@ from posegsa.filters.covariance import (
 )
 from posegsa.filters.leads import LEAD_KEYS, LastSample, Leads, extrapolated, no_sample
 from posegsa.filters.measurement_model import (
-    BeliefInput,
-    apart,
     each_vector,
     landmark_rows,
     measured_error,
-    residuals,
     stacked,
     variance_of,
     vector_rows,
@@ -281,10 +285,7 @@ class KalmanFilter:
         unknown, *beliefs = self.schedule
         memory = KalmanMemory(
             () if unknown is None else initial_noise_memory(unknown, like),
-            *(
-                () if one is None else (initial_noise_memory(one, like),) * count
-                for one, count in zip(beliefs, sensors, strict=True)
-            ),
+            *initial_beliefs(beliefs, sensors, like),
         )
         last = () if self.leads is None else no_sample(like)
         return KalmanState(estimate, covariance, memory, last)
@@ -377,26 +378,9 @@ class ReadyKalmanFilter(NamedTuple):
         noise, memory = self.noise, state.memory
         known = state.estimate, state.covariance, sample, noise.vector, noise.landmark
         each = residuals(*known, of=self.belief_input)
-        beliefs = self.schedule.vectors, self.schedule.landmarks
-        memories: list[tuple[NoiseMemory, ...]] = []
-        weights: list[tuple[Array, ...]] = []
-        sensors = each_vector(sample), sample.landmarks
-        of_kinds = zip(sensors, each, beliefs, memory[1:], strict=True)
-        for seen, residual, schedule, before in of_kinds:
-            given = tuple(sensor.factor for sensor in seen)
-            if schedule is not None and residual is not None:
-                follow = partial(noise_factor, schedule, signals.belief)
-
-                def one(nothing: tuple[()], of_sensor: Any, follow: Any = follow) -> Any:
-                    past, now = of_sensor
-                    factor, after, _ = follow(past, now.normalised, now.factor > 0, *on_time)
-                    return nothing, (now.factor / factor, after)
-
-                _, found = lax.scan(one, (), (stacked(before), residual))
-                given, before = (apart(those, len(seen)) for those in found)
-            memories.append(before)
-            weights.append(given)
-        return weighted(sample, *weights), KalmanMemory(memory.unknown, *memories)
+        schedules, before = self.schedule[1:], BeliefMemory(*memory[1:])
+        factors, after = belief_factors(schedules, signals.belief, before, each, *on_time)
+        return as_believed(sample, factors), KalmanMemory(memory.unknown, *after)
 
 
 def _scaled(sample: Sample, vectors: Sequence[float], landmarks: Sequence[float]) -> Sample:

@@ -1,19 +1,17 @@
-"""The measurement model of a Kalman filter: derivatives, predictions and residuals of its sensors.
+"""The measurement model of a Kalman filter: derivatives and predictions of its sensors.
 
 The equations are those of `filters.kalman`: a vector is R^T v^I + c_i, a landmark R^T (p - P).
 """
 
-import operator
 from collections.abc import Iterable, Sequence
-from functools import partial, reduce
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from posegsa.errors import ArgumentError
-from posegsa.filters.covariance import ANGULAR, VECTORS, Covariance, Row, entry, product
+from posegsa.filters.covariance import VECTORS, Row
 from posegsa.model.elementwise import choose, maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.sample import LandmarkSample, Sample
@@ -49,7 +47,7 @@ def each_vector(sample: Sample) -> tuple[VectorSample, ...]:
     """
     if isinstance(sample.vectors, Wahba):
         raise ArgumentError(
-            "the Kalman filter needs each vector as measured: make its samples with its `prepare`"
+            "the filter needs each vector as measured: make its samples with its `prepare`"
         )
     return sample.vectors.each
 
@@ -58,90 +56,6 @@ def with_biases(vectors: tuple[VectorSample, ...], estimate: FilterState) -> Any
     """Vectors with their estimated biases, or with None, stacked for a loop."""
     biases = estimate.vector_biases or (None,) * len(vectors)
     return stacked(zip(vectors, biases, strict=True))
-
-
-BeliefInput = Literal["residual", "variance"]
-"""The input of belief: a sensor's normalised squared residual, or the variance that it implies."""
-
-
-class Residual(NamedTuple):
-    """How far each sensor of a kind disagrees with the estimate, leaves (n, ...)."""
-
-    normalised: Array
-    """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2, s the standard deviation of its
-    noise; 1 if the covariance is right. Or the variance that it implies, as a multiple of s^2:
-    (|z - y|^2 - tr(H Sigma H^T)) / (3 s^2), which can be negative."""
-    factor: Array
-    """Factor on its weight, 0 where it is missing."""
-
-
-def residuals(
-    estimate: FilterState,
-    covariance: Covariance,
-    sample: Sample,
-    vector: Array,
-    landmark: Array,
-    of: BeliefInput = "residual",
-) -> tuple[Residual | None, Residual | None]:
-    """The residuals of vectors and of landmarks, before any is used; None if there are none.
-
-    Args:
-        estimate: before the sample, of the batch shape.
-        covariance: of its errors.
-        sample: with its vectors as measured.
-        vector: standard deviation of each component of a vector, in its unit.
-        landmark: standard deviation of each coordinate of a landmark [m].
-        of: which `normalised` to compute: the "residual" over its expectation, or the "variance".
-    """
-    R, axes = rows(estimate.attitude), range(3)
-    learnt = bool(estimate.vector_biases)
-
-    def residual(spread: Array, off: Vec3, deviation: Array, factor: Array) -> Residual:
-        square, own = dot(off, off), 3 * variance_of(deviation, factor)
-        if of == "variance":
-            return Residual((square - spread) / own, factor)
-        return Residual(square / (spread + own), factor)
-
-    def spread(each: Sequence[Row]) -> Array:
-        """tr(H Sigma H^T) of rows over the states of the pose."""
-
-        def column(h: Row, j: int) -> Array:
-            return product(h, lambda i: entry(covariance, i, j))
-
-        return reduce(operator.add, (product(h, partial(column, h)) for h in each))
-
-    def of_bias(i: int) -> tuple[list[list[Array]], Array] | None:
-        """Covariance (axis, theta) of a vector's bias with the attitude, and its own trace."""
-        if not learnt:
-            return None
-        first = VECTORS + 3 * i
-        beside = [[entry(covariance, j, first + axis) for j in axes] for axis in axes]
-        own = reduce(operator.add, (entry(covariance, first + a, first + a) for a in axes))
-        return beside, own
-
-    def by_vector(nothing: tuple[()], given: Any) -> Any:
-        (seen, bias), biased = given
-        each, off = vector_rows(R, seen, bias)
-        thetas: list[Row] = [{j: h[j] for j in h if j < ANGULAR} for h in each]
-        total = spread(thetas)
-        if biased is not None:
-            beside, own = biased
-            pairs = zip(thetas, beside, strict=True)
-            crossed = [product(h, of_axis.__getitem__) for h, of_axis in pairs]
-            total = total + own + 2 * reduce(operator.add, crossed)
-        return nothing, residual(total, off, vector, seen.factor)
-
-    def by_landmark(nothing: tuple[()], seen: LandmarkSample) -> Any:
-        each, off = landmark_rows(R, estimate.place, seen)
-        return nothing, residual(spread(each), off, landmark, seen.factor)
-
-    of_vectors = of_landmarks = None
-    if vectors := each_vector(sample):
-        biased = stacked(map(of_bias, range(len(vectors))))
-        _, of_vectors = lax.scan(by_vector, (), (with_biases(vectors, estimate), biased))
-    if sample.landmarks:
-        _, of_landmarks = lax.scan(by_landmark, (), stacked(sample.landmarks))
-    return of_vectors, of_landmarks
 
 
 def measured_error(
@@ -153,7 +67,7 @@ def measured_error(
     store nothing, so that they can be written as C.
 
     Args:
-        estimate: As for `residuals`.
+        estimate: Before the sample, of the batch shape.
         sample: With its vectors as measured, and the weights after belief.
         vector: Standard deviation of each component of a vector, in its unit.
         landmark: Standard deviation of each coordinate of a landmark [m].

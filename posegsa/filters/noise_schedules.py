@@ -28,6 +28,7 @@ from typing import NamedTuple, Self
 import jax.numpy as jnp
 from jax import Array
 
+from posegsa.arguments import refuse
 from posegsa.model.elementwise import choose, maximum, minimum
 from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs
 
@@ -43,6 +44,18 @@ class NoiseSignal(NamedTuple):
     """Factor on the change of the scaled error [s]."""
     largest: Array
     """The largest factor, at least 1, no unit."""
+
+    def with_value(self, key: str, value: Array) -> Self:
+        """The same with one number replaced, by its name after its role: "belief_smoothing".
+
+        Raises:
+            ArgumentError: There is no number with this name.
+        """
+        role, _, name = key.partition("_")
+        if name not in self._fields:
+            allowed = ", ".join(f"{role}_{field}" for field in self._fields)
+            refuse(f"{key}: not a number of this filter", allowed)
+        return self._replace(**{name: value})
 
 
 class NoiseMemory(NamedTuple):
@@ -67,12 +80,11 @@ class NoiseSignals(NamedTuple):
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same with some numbers replaced, by names such as "belief_smoothing"."""
-        parts = [key.split("_", 1) for key in values]
-        new: dict[str, dict[str, Array]] = {role: {} for role in self._fields}
-        for (role, name), value in zip(parts, values.values(), strict=True):
-            new[role][name] = value
-        pairs = zip(self, new.values(), strict=True)
-        return type(self)(*(signal._replace(**own) for signal, own in pairs))
+        signals = self._asdict()
+        for key, value in values.items():
+            role = key.partition("_")[0]
+            signals[role] = signals[role].with_value(key, value)
+        return type(self)(**signals)
 
 
 SIGNAL_KEYS = tuple(f"{r}_{n}" for r in NoiseSignals._fields for n in NoiseSignal._fields)

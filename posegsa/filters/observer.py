@@ -79,7 +79,7 @@ of either sign. That the pose and all biases converge without noise is shown by 
 (`tests/filters/test_observer_convergence.py`).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal, NamedTuple, Self, cast
 
@@ -91,6 +91,14 @@ from jax import Array
 from posegsa.arguments import refuse
 from posegsa.errors import ArgumentError
 from posegsa.filters.base import Record, Samples, Sensors, with_vector_biases
+from posegsa.filters.belief import (
+    BeliefMemory,
+    as_believed,
+    belief_factors,
+    initial_beliefs,
+    residuals,
+)
+from posegsa.filters.noise_schedules import NoiseSignal
 from posegsa.model.elementwise import choose, maximum, minimum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
@@ -196,6 +204,28 @@ class FilterSettings:
         """l^2 [m^2]."""
         unit = 1 if self.length is None else self.length * self.length
         return unit if self.length_growth is None else unit + self.length_growth * sample.reach
+
+
+class ObserverGains(NamedTuple):
+    """The schedules of an observer with belief; None for sensors that are always believed."""
+
+    gain: GainSchedule
+    """Sets the gain K."""
+    vectors: GainSchedule | None = None
+    """Belief in each vector: the divisor of its weight."""
+    landmarks: GainSchedule | None = None
+    """Belief in each landmark: the divisor of its weight."""
+
+
+class BeliefSettings(NamedTuple):
+    """How an observer judges its sensors; all traced."""
+
+    signal: NoiseSignal
+    """The input signal of the schedules of belief."""
+    vector: Array
+    """Standard deviation of the noise of each component of a vector, in its unit."""
+    landmark: Array
+    """Standard deviation of the noise of each coordinate of a landmark [m]."""
 
 
 class Innovation(NamedTuple):
@@ -380,6 +410,7 @@ def observe(
     gains: Gains,
     settings: FilterSettings,
     share: Array | None = None,
+    believed: Sequence[Array] = (),
 ) -> tuple[FilterState, Array]:
     """One sample, by components: n sub-steps with the measurement held (pure).
 
@@ -395,6 +426,7 @@ def observe(
         gains: K [1/s], of the batch shape, and the factors on the gains of the bias laws.
         settings: laws, sub-steps, gains, gain limit.
         share: Factor on the gains of all bias laws (`bias_share`).
+        believed: By how much each vector is believed less, at least 1; () if all are believed.
 
     Returns:
         The estimate at the next sample, and the mean gain used in the sub-steps after the limit.
@@ -416,7 +448,7 @@ def observe(
         )
     used = used_total / n
     vector_biases, turning = learnt_vector_biases(
-        before, sample, seen, gains.learning, used, settings, share
+        before, sample, seen, gains.learning, used, settings, share, believed
     )
     return state._replace(vector_biases=vector_biases, turning=turning), used
 
@@ -449,10 +481,12 @@ def learnt_vector_biases(
     used: Array,
     settings: FilterSettings,
     share: Array | None = None,
+    believed: Sequence[Array] = (),
 ) -> tuple[tuple[Vec3, ...], Vec3 | tuple[()]]:
     """Estimates c_i after a step of the vectors' bias law, and the low-passed angular velocity.
 
-    `learning` and `share` are factors on its gain.
+    `learning` and `share` are factors on its gain, and those in `believed` divide that of each
+    vector.
     """
     law, turning = settings.vector_bias, state.turning
     if law is None or isinstance(sample.vectors, Wahba) or not turning:
@@ -467,7 +501,9 @@ def learnt_vector_biases(
     step = minimum(learning * dt * gain * minimum(law.per_turning * w2 * w2, 1.0), 1.0)
     kept = 1 - dt * law.leak
     biases = []
-    for c, d, vector in zip(state.vector_biases, seen.freed, sample.vectors.each, strict=True):
+    steps = tuple(step / by for by in believed) or (step,) * len(seen.freed)
+    sensors = zip(state.vector_biases, seen.freed, sample.vectors.each, steps, strict=True)
+    for c, d, vector, step in sensors:
         residual = subtract(d, unrotate(R, vector.known))
         # While a vector is missing its bias estimate neither changes nor decays.
         measured = vector.factor > 0
@@ -484,6 +520,8 @@ class ObserverState(NamedTuple):
     """The estimate at the next sample."""
     memory: SignalMemory
     """Memory of the error signal and the schedule."""
+    beliefs: BeliefMemory = BeliefMemory()
+    """Memory of belief in each sensor."""
 
 
 class ReadyObserver(NamedTuple):
@@ -492,9 +530,22 @@ class ReadyObserver(NamedTuple):
     schedule: PreparedSchedule
     settings: FilterSettings
     signal: SignalSettings
+    beliefs: tuple[PreparedSchedule | None, PreparedSchedule | None] = (None, None)
+    """The schedules of belief in vectors and in landmarks."""
+    belief: BeliefSettings | None = None
 
     def step(self, state: ObserverState, now: Samples) -> tuple[ObserverState, Record]:
-        """One sample: error signal, gains, and the step of pose and biases."""
+        """One sample: belief, error signal, gains, and the step of pose and biases."""
+        beliefs, believed = state.beliefs, ()
+        if self.belief is not None and any(self.beliefs):
+            vector, landmark = self.belief.vector, self.belief.landmark
+            each = residuals(state.estimate, None, now.sample, vector, landmark)
+            factors, beliefs = belief_factors(
+                *(self.beliefs, self.belief.signal, beliefs, each),
+                *(now.time, now.sample.time_step),
+            )
+            now = now._replace(sample=as_believed(now.sample, factors))
+            believed = factors.vectors or ()
         seen = see(state.estimate, now.sample, self.settings)
         if self.signal.signal == "pose":
             errors = Measured(*pose_errors(state.estimate, now.truth), True, True)
@@ -504,9 +555,11 @@ class ReadyObserver(NamedTuple):
             self.schedule, state.memory, errors, now.time, now.sample.time_step, self.signal
         )
         share = bias_share(memory, self.settings, self.signal)
-        estimate, used = observe(state.estimate, now.sample, seen, gains, self.settings, share)
+        estimate, used = observe(
+            state.estimate, now.sample, seen, gains, self.settings, share, believed
+        )
         memory = still_unknown(memory, seen, learning_time(now.sample, used, share), self.signal)
-        return ObserverState(estimate, memory), Record(
+        return ObserverState(estimate, memory, beliefs), Record(
             gain=gains.gain, gain_used=used, error=inputs.error, rate=inputs.rate
         )
 
@@ -520,12 +573,14 @@ class ReadyObserver(NamedTuple):
 class Observer:
     """The observer with its gain schedule: the paper's filter (`filters.base.Filter`)."""
 
-    schedule: GainSchedule | None
-    """Sets the gain K at each sample; None until a search has chosen it."""
+    schedule: GainSchedule | ObserverGains | None
+    """Sets the gain K at each sample, with or without belief; None until a search has chosen it."""
     settings: FilterSettings = field(default_factory=FilterSettings)
     """Settings of a step."""
     signal: SignalSettings = field(default_factory=SignalSettings)
     """Settings of the error signal, the input of the schedule."""
+    belief: BeliefSettings | None = None
+    """How it judges its sensors; None if it believes all of them."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same with some numbers replaced, by their keys in a configuration without `filter.`.
@@ -536,12 +591,17 @@ class Observer:
             ArgumentError: The observer has no number with this key.
         """
         settings, signal, schedule = self.settings, self.signal, self.schedule
+        belief = self.belief
         for key, value in values.items():
-            if is_dataclass(schedule) and key in (each.name for each in fields(schedule)):
+            if belief is not None and key in ("vector", "landmark"):
+                belief = belief._replace(**{key: value})
+            elif belief is not None and key.startswith("belief_"):
+                belief = belief._replace(signal=belief.signal.with_value(key, value))
+            elif is_dataclass(schedule) and key in (each.name for each in fields(schedule)):
                 schedule = replace(cast(Any, schedule), **{key: value})
             else:
                 settings, signal = _with_value(settings, signal, key, value)
-        return replace(self, schedule=schedule, settings=settings, signal=signal)
+        return replace(self, schedule=schedule, settings=settings, signal=signal, belief=belief)
 
     def prepare(self, measurements: Measurements) -> Sample:
         """Landmarks, and vectors normalised, crossed and summed as the settings say.
@@ -554,8 +614,12 @@ class Observer:
         for name in ("gamma_angular", "gamma_linear"):
             if shape := np.shape(getattr(settings, name)):
                 refuse(f"settings.{name}: of the shape {shape}", "one number")
-        if settings.vector_bias is not None and not settings.vectors.each_agent:
-            refuse("settings.vectors.each_agent: False", "True where vector_bias is estimated")
+        for needs, why in (
+            (settings.vector_bias, "vector_bias is estimated"),
+            (self.belief, "there is belief"),
+        ):
+            if needs is not None and not settings.vectors.each_agent:
+                refuse("settings.vectors.each_agent: False", f"True where {why}")
         for name, weights, factors in (
             ("vectors.weights", settings.vectors.weights, measurements.vector_weights),
             ("landmark_weights", settings.landmark_weights, measurements.landmark_weights),
@@ -570,26 +634,36 @@ class Observer:
 
         Raises:
             ArgumentError: `initial` has biases of another number of vectors, the schedule is
-                missing, or its initial gain is negative.
+                missing, its initial gain is negative, or it has belief and the observer has not.
         """
-        check_schedule(self._chosen)
+        gain, *beliefs = self._chosen
+        check_schedule(gain)
+        if any(beliefs) and self.belief is None:
+            refuse("belief: None", "BeliefSettings, as the schedule has belief")
         if self.settings.vector_bias is not None and sensors.vectors:
             initial = with_vector_biases(initial, sensors.vectors)
             if not initial.turning:
                 zero = jnp.zeros_like(initial.place[0])
                 initial = initial._replace(turning=(zero, zero, zero))
-        memory = initial_memory(self._chosen, initial.place[0], self.signal.unknown)
-        return ObserverState(initial, memory)
+        like = initial.place[0]
+        memory = initial_memory(gain, like, self.signal.unknown)
+        return ObserverState(initial, memory, initial_beliefs(beliefs, sensors, like))
 
     def ready(self) -> ReadyObserver:
-        """The observer with its schedule prepared (slopes and overlaps of the terms)."""
-        return ReadyObserver(self._chosen.prepare(), self.settings, self.signal)
+        """The observer with its schedules prepared (slopes and overlaps of the terms)."""
+        gain, *beliefs = self._chosen
+        vectors, landmarks = (None if one is None else one.prepare() for one in beliefs)
+        return ReadyObserver(
+            gain.prepare(), self.settings, self.signal, (vectors, landmarks), self.belief
+        )
 
     @property
-    def _chosen(self) -> GainSchedule:
+    def _chosen(self) -> ObserverGains:
         if self.schedule is None:
             raise ArgumentError("schedule: None; allowed: a gain schedule, to run the observer")
-        return self.schedule
+        if isinstance(self.schedule, ObserverGains):
+            return self.schedule
+        return ObserverGains(self.schedule)
 
 
 def _with_value(

@@ -13,13 +13,14 @@ from jax.typing import DTypeLike
 
 from posegsa.filters.base import Filter
 from posegsa.filters.noise_schedules import NoiseGains
+from posegsa.filters.observer import ObserverGains
 from posegsa.model.schedules import GainSchedule
 from posegsa.optimisers import Box
 
 FilterT = TypeVar("FilterT", bound=Filter)
-Schedule = GainSchedule | NoiseGains
-"""What a search puts into a filter: an observer's gain schedule, or those of a Kalman filter's
-noises."""
+Schedule = GainSchedule | NoiseGains | ObserverGains
+"""What a search puts into a filter: an observer's gain schedule, alone or with those of belief, or
+those of a Kalman filter's noises."""
 
 
 @jax.tree_util.register_dataclass

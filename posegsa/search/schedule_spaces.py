@@ -13,6 +13,7 @@ from jax import Array
 
 from posegsa import config
 from posegsa.filters.noise_schedules import NoiseGains
+from posegsa.filters.observer import ObserverGains
 from posegsa.model.schedules import (
     ConstantGain,
     GainSchedule,
@@ -125,11 +126,15 @@ def _space(kind: str, experiment: config.Experiment, gain: Ends) -> SimpleSpace:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class NoiseSpaces:
-    """The numbers of all schedules of a Kalman filter's noises, one after another."""
+    """The numbers of all schedules of a filter, one after another."""
 
     each: tuple[ScheduleSpace, ...]
     roles: tuple[str, ...] = field(metadata={"static": True})
-    """The role of each in `NoiseGains`."""
+    """The role of each in `joined`."""
+    joined: type[NoiseGains | ObserverGains] = field(
+        default=NoiseGains, metadata={"static": True}
+    )
+    """What the schedules are joined in: those of a Kalman filter, or of an observer."""
 
     @property
     def lower(self) -> Array:
@@ -141,11 +146,11 @@ class NoiseSpaces:
         """(d,)."""
         return jnp.concatenate([space.upper for space in self.each])
 
-    def schedule(self, vector: Array) -> NoiseGains:
+    def schedule(self, vector: Array) -> NoiseGains | ObserverGains:
         """The schedules of a vector (d,)."""
         pairs = zip(self.roles, self.each, self._parts(vector), strict=True)
         made: dict[str, Any] = {role: space.schedule(part) for role, space, part in pairs}
-        return NoiseGains(**made)
+        return self.joined(**made)
 
     def valid(self, vector: Array) -> Array:
         """Whether a vector (d,) has a cost."""

@@ -1,0 +1,206 @@
+"""Belief: how far each vector and each landmark is believed, from its own residuals.
+
+A sensor's input is its squared residual at the estimate before the sample, over what it should be.
+A schedule (`filters.noise_schedules`), one for all vectors and one for all landmarks, turns it into
+a factor from 1 up; each sensor has its own memory. A Kalman filter multiplies the variance of that
+sensor by the factor, an observer divides its weight by it: both are the same change of the factor
+on a measurement's weight.
+"""
+
+import operator
+from collections.abc import Sequence
+from functools import partial, reduce
+from typing import Any, Literal, NamedTuple
+
+from jax import Array, lax
+
+from posegsa.filters.covariance import ANGULAR, VECTORS, Covariance, Row, entry, product
+from posegsa.filters.measurement_model import (
+    apart,
+    each_vector,
+    landmark_rows,
+    stacked,
+    variance_of,
+    vector_rows,
+    weighted,
+    with_biases,
+)
+from posegsa.filters.noise_schedules import (
+    NoiseMemory,
+    NoiseSignal,
+    initial_noise_memory,
+    noise_factor,
+)
+from posegsa.model.estimate import FilterState
+from posegsa.model.sample import LandmarkSample, Sample
+from posegsa.model.schedules import GainSchedule, PreparedSchedule
+from posegsa.model.se3 import Vec3, dot, rows
+
+BeliefInput = Literal["residual", "variance"]
+"""The input of belief: a sensor's normalised squared residual, or the variance that it implies."""
+
+
+class Residual(NamedTuple):
+    """How far each sensor of a kind disagrees with the estimate, leaves (n, ...)."""
+
+    normalised: Array
+    """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2, s the standard deviation of its
+    noise; 1 if the covariance is right. Or the variance that it implies, as a multiple of s^2:
+    (|z - y|^2 - tr(H Sigma H^T)) / (3 s^2), which can be negative. An observer has no Sigma: both
+    are |z - y|^2 / (3 s^2)."""
+    factor: Array
+    """Factor on its weight, 0 where it is missing."""
+
+
+def residuals(
+    estimate: FilterState,
+    covariance: Covariance | None,
+    sample: Sample,
+    vector: Array,
+    landmark: Array,
+    of: BeliefInput = "residual",
+) -> tuple[Residual | None, Residual | None]:
+    """The residuals of vectors and of landmarks, before any is used; None if there are none.
+
+    Args:
+        estimate: before the sample, of the batch shape.
+        covariance: of its errors; None takes the estimate for exact.
+        sample: with its vectors as measured.
+        vector: standard deviation of each component of a vector, in its unit.
+        landmark: standard deviation of each coordinate of a landmark [m].
+        of: which `normalised` to compute: the "residual" over its expectation, or the "variance".
+    """
+    R, axes = rows(estimate.attitude), range(3)
+    learnt = bool(estimate.vector_biases)
+
+    def residual(spread: Array | float, off: Vec3, deviation: Array, factor: Array) -> Residual:
+        square, own = dot(off, off), 3 * variance_of(deviation, factor)
+        if of == "variance":
+            return Residual((square - spread) / own, factor)
+        return Residual(square / (spread + own), factor)
+
+    def spread(each: Sequence[Row]) -> Array | float:
+        """tr(H Sigma H^T) of rows over the states of the pose."""
+        if covariance is None:
+            return 0.0
+
+        def column(h: Row, j: int) -> Array:
+            return product(h, lambda i: entry(covariance, i, j))
+
+        return reduce(operator.add, (product(h, partial(column, h)) for h in each))
+
+    def of_bias(i: int) -> tuple[list[list[Array]], Array] | None:
+        """Covariance (axis, theta) of a vector's bias with the attitude, and its own trace."""
+        if covariance is None or not learnt:
+            return None
+        first = VECTORS + 3 * i
+        beside = [[entry(covariance, j, first + axis) for j in axes] for axis in axes]
+        own = reduce(operator.add, (entry(covariance, first + a, first + a) for a in axes))
+        return beside, own
+
+    def by_vector(nothing: tuple[()], given: Any) -> Any:
+        (seen, bias), biased = given
+        each, off = vector_rows(R, seen, bias)
+        thetas: list[Row] = [{j: h[j] for j in h if j < ANGULAR} for h in each]
+        total = spread(thetas)
+        if biased is not None:
+            beside, own = biased
+            pairs = zip(thetas, beside, strict=True)
+            crossed = [product(h, of_axis.__getitem__) for h, of_axis in pairs]
+            total = total + own + 2 * reduce(operator.add, crossed)
+        return nothing, residual(total, off, vector, seen.factor)
+
+    def by_landmark(nothing: tuple[()], seen: LandmarkSample) -> Any:
+        each, off = landmark_rows(R, estimate.place, seen)
+        return nothing, residual(spread(each), off, landmark, seen.factor)
+
+    of_vectors = of_landmarks = None
+    if vectors := each_vector(sample):
+        biased = stacked(map(of_bias, range(len(vectors))))
+        _, of_vectors = lax.scan(by_vector, (), (with_biases(vectors, estimate), biased))
+    if sample.landmarks:
+        _, of_landmarks = lax.scan(by_landmark, (), stacked(sample.landmarks))
+    return of_vectors, of_landmarks
+
+
+class BeliefMemory(NamedTuple):
+    """The memory of belief, one of each sensor; () for a kind of sensor without a schedule."""
+
+    vectors: tuple[NoiseMemory, ...] = ()
+    landmarks: tuple[NoiseMemory, ...] = ()
+
+
+class Factors(NamedTuple):
+    """The factor on the variance of each sensor, at least 1; None for a kind without a schedule."""
+
+    vectors: tuple[Array, ...] | None
+    landmarks: tuple[Array, ...] | None
+
+
+def initial_beliefs(
+    schedules: Sequence[GainSchedule | None], counts: Sequence[int], like: Array
+) -> BeliefMemory:
+    """The memory before the first sample, in the shape and dtype of `like`.
+
+    Args:
+        schedules: of vectors and of landmarks.
+        counts: how many vectors and landmarks there are.
+        like: any number of the state.
+    """
+    return BeliefMemory(
+        *(
+            () if one is None else (initial_noise_memory(one, like),) * count
+            for one, count in zip(schedules, counts, strict=True)
+        )
+    )
+
+
+def belief_factors(
+    schedules: Sequence[PreparedSchedule | None],
+    signal: NoiseSignal,
+    memory: BeliefMemory,
+    each: Sequence[Residual | None],
+    time: Array,
+    time_step: Array,
+) -> tuple[Factors, BeliefMemory]:
+    """The factor on the variance of each sensor at a sample, and the memory after it.
+
+    Args:
+        schedules: of vectors and of landmarks.
+        signal: of both.
+        memory: after the last sample.
+        each: the `residuals` of vectors and of landmarks.
+        time: since the first sample [s].
+        time_step: to the next sample [s].
+    """
+    factors: list[tuple[Array, ...] | None] = []
+    memories: list[tuple[NoiseMemory, ...]] = []
+    for schedule, before, residual in zip(schedules, memory, each, strict=True):
+        if schedule is None or residual is None:
+            factors.append(None)
+            memories.append(before)
+            continue
+        follow = partial(noise_factor, schedule, signal)
+
+        def one(nothing: tuple[()], of_sensor: Any, follow: Any = follow) -> Any:
+            past, now = of_sensor
+            factor, after, _ = follow(past, now.normalised, now.factor > 0, time, time_step)
+            return nothing, (factor, after)
+
+        _, found = lax.scan(one, (), (stacked(before), residual))
+        of_sensors, after = (apart(those, len(before)) for those in found)
+        factors.append(of_sensors)
+        memories.append(after)
+    return Factors(*factors), BeliefMemory(*memories)
+
+
+def as_believed(sample: Sample, factors: Factors) -> Sample:
+    """The sample with the weight of each sensor divided by the factor on its variance."""
+    weights = [
+        [
+            sensor.factor / factor if by is not None else sensor.factor
+            for sensor, factor in zip(sensors, by or sensors, strict=True)
+        ]
+        for sensors, by in zip((each_vector(sample), sample.landmarks), factors, strict=True)
+    ]
+    return weighted(sample, *weights)
