@@ -1,11 +1,11 @@
 """Changes of values, by their paths, in the data of an experiment."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from posegsa.config.filter_config import FILTERS
+from posegsa.config.filter_config import BELIEF_ALSO, FILTERS
 from posegsa.config.schedule_config import fitted_bounds
 from posegsa.optimisers import OPTIMISERS, Optimiser
 from posegsa.settings.violations import Violation
@@ -64,7 +64,19 @@ def with_values(
             gone = [role for role in roles if filter_.get(role) == "off" != filter_before.get(role)]
             begins = tuple(f"filter.{role}_" for role in gone)
             parameters["also"] = [x for x in parameters["also"] if not x["key"].startswith(begins)]
+            parameters["also"] += _of_belief(filter_, filter_before, named)
     return data, violations
+
+
+def _of_belief(
+    filter_: Mapping[str, Any], before: Mapping[str, Any], named: Iterable[str]
+) -> list[dict[str, Any]]:
+    """What is tuned too by default if changes switch on an observer's belief."""
+    kind, off = filter_.get("kind"), "off"
+    was = before.get("belief", off) != off and before.get("kind") == kind
+    if kind != "observer" or was or filter_.get("belief", off) == off:
+        return []
+    return [one.model_dump(mode="json") for one in BELIEF_ALSO if not _named(one.key, named)]
 
 
 def _leave_named(data: dict[str, Any], section: str, named: list[str]) -> None:

@@ -8,6 +8,7 @@ from pydantic import Field, ValidationError, model_validator
 from posegsa.config.changes import with_values
 from posegsa.config.family_config import FamilyConfig
 from posegsa.config.filter_config import (
+    BELIEF_ALSO,
     FILTERS,
     ONE_FILTER,
     SCHEDULE_NUMBERS,
@@ -179,7 +180,9 @@ class Experiment(Section):
     @property
     def default_also(self) -> tuple[AlsoTuned, ...]:
         """The numbers tuned by default, without parameters.also, for this kind of filter."""
-        return FILTERS[self.filter.kind].also
+        also = FILTERS[self.filter.kind].also
+        observer = isinstance(self.filter, ObserverConfig)
+        return (*also, *BELIEF_ALSO) if observer and self.filter.roles else also
 
     def _places(self) -> Places:
         """The numbers that a search may tune and that have an effect, by key."""
@@ -247,9 +250,10 @@ class Experiment(Section):
         """Numbers of a schedule that are not those of the filter's schedule."""
         given, kinds, words = len(self.tuned.numbers), [], ""
         if isinstance(self.filter, ObserverConfig):
-            kinds = [self.filter.schedule]
+            kinds = [self.filter.schedule, *self.filter.roles.values()]
             names = ", ".join(SCHEDULE_NUMBERS[self.filter.schedule])
             words = f"of a {self.filter.schedule} gain ({names})"
+            words += f" and of belief ({', '.join(self.filter.roles)})" if kinds[1:] else ""
         elif isinstance(self.filter, KalmanConfig):
             kinds = self.filter.roles.values()
             words = f"of its schedules ({', '.join(self.filter.roles)})"

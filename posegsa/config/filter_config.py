@@ -21,9 +21,9 @@ ScheduleKind = Literal["fuzzy", "constant", "smooth"]
 """What sets the observer's gain."""
 
 NoiseScheduleKind = Literal["off", "fuzzy", "constant", "smooth", "ramp", "clock"]
-"""The schedule that changes a noise of the Kalman filter: none; the controller of k1..k22; a
-constant; a smooth or a straight function of the error; or a function of the time since the
-start."""
+"""The schedule that changes a noise of the Kalman filter, or a weight of the observer: none; the
+controller of k1..k22; a constant; a smooth or a straight function of the error; or a function of
+the time since the start."""
 _WHICH = Field(
     description='Which filter: "observer", "kalman", "imu", or "own", one that the user passes.'
 )
@@ -102,6 +102,28 @@ class ObserverConfig(Section):
     error."""
     excitation_time: Annotated[NonNegative, _OF_VECTOR_BIAS] = 1.0
     """Time constant of the low-pass filter of that angular velocity [s]."""
+
+    belief: NoiseScheduleKind = "off"
+    """The schedule that divides the weight of each vector and each landmark; its input is that
+    sensor's normalised squared residual. There is one for the vectors and one for the landmarks;
+    "fuzzy" has the paper's boxes and table, whatever those of the gain are."""
+    vector: Annotated[Positive, _OF_BELIEF] = 0.1
+    """Noise of each component of a vector, in its unit: it normalises the residuals of belief."""
+    landmark: Annotated[Positive, _OF_BELIEF] = 0.1
+    """Noise of each coordinate of a landmark [m]: it normalises the residuals of belief."""
+    belief_smoothing: Annotated[NonNegative, _OF_BELIEF] = 0.1
+    """Time constant of the low-pass filter of that residual [s]."""
+    belief_scale: Annotated[AboveOne, _OF_BELIEF] = 1e6
+    """The input before scaling at which the schedule's input is 1, no unit; it is logarithmic."""
+    belief_rate_scale: Annotated[NonNegative, _OF_BELIEF] = 0.1
+    """Factor on the change of the schedule's input [s]."""
+    belief_largest: Annotated[AboveOne, _OF_BELIEF] = 1e6
+    """Largest divisor of a weight, no unit; the divisor is logarithmic in the output."""
+
+    @property
+    def roles(self) -> dict[str, NoiseScheduleKind]:
+        """The kinds of the schedules of belief, by the role of each (`ObserverGains`)."""
+        return {} if self.belief == "off" else dict.fromkeys(("vectors", "landmarks"), self.belief)
 
     def _conflicts(self) -> Iterator[Violation]:
         for name, needed in (("length", 1.0), ("length_growth", "off")):
@@ -290,6 +312,8 @@ SIGNAL_ALSO = tuple(
     for role in ("unknown", "belief")
 )
 """The numbers that are tuned by default in addition to the noises if these are scheduled."""
+BELIEF_ALSO = SIGNAL_ALSO[1:]
+"""The number that is tuned by default in addition to an observer's own if it has belief."""
 IMU_ALSO = tuple(
     AlsoTuned(key=f"filter.{name}", lower=lower, upper=upper, scale="logarithmic")
     for name, lower, upper in (

@@ -38,6 +38,7 @@ from posegsa.filters.base import Filter, Samples, Sensors
 from posegsa.filters.calls import estimated, started, stepped
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.noise_schedules import NoiseGains
+from posegsa.filters.observer import Observer, ObserverGains
 from posegsa.model.elementwise import choose
 from posegsa.model.estimate import FilterState
 from posegsa.model.sample import Sample
@@ -92,7 +93,7 @@ def any_filter(
     """The values for the template `any_filter.h`.
 
     Args:
-        filter: Any filter except an `Observer`.
+        filter: Any filter except an `Observer` without belief.
         vectors: (n, 3) v_i^I, inertial frame, in the unit of their sensor.
         landmarks: (m, 3) p_i, inertial frame [m].
 
@@ -100,8 +101,8 @@ def any_filter(
         ArgumentError: The filter can't be written as scalar arithmetic.
         MeasurementError: Vectors or landmarks are not finite, or a vector is 0.
     """
-    if isinstance(filter, KalmanFilter):
-        filter = _with_written_schedule(filter)
+    if isinstance(filter, KalmanFilter | Observer):
+        filter = _with_written_schedules(filter)
     v, p = known_places(vectors, landmarks)
     with jax.enable_x64(True):
         known, crossed = _references(_in_float64(filter), v, p)
@@ -274,12 +275,12 @@ def _in_a_known_frame(sample: Sample, known: References) -> Sample:
     return sample._replace(vectors=sample.vectors._replace(each=written))
 
 
-def _with_written_schedule(filter: KalmanFilter) -> KalmanFilter:
+def _with_written_schedules(filter: KalmanFilter | Observer) -> KalmanFilter | Observer:
     """The filter with schedules whose numbers are literals in the code."""
-    roles = (
-        None if schedule is None else _WrittenSchedule(schedule) for schedule in filter.schedule
-    )
-    return replace(filter, schedule=NoiseGains(*roles))
+    schedules = filter.schedule
+    assert isinstance(schedules, NoiseGains | ObserverGains)
+    roles = (None if schedule is None else _WrittenSchedule(schedule) for schedule in schedules)
+    return replace(filter, schedule=type(schedules)(*roles))
 
 
 @jax.tree_util.register_static

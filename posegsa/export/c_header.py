@@ -36,10 +36,10 @@ from posegsa.export.c_text import (
     wrapped,
 )
 from posegsa.filters.base import Filter, check_filter
-from posegsa.filters.observer import FilterSettings, Observer
+from posegsa.filters.observer import FilterSettings, Observer, ObserverGains
 from posegsa.judging.result import Result
 from posegsa.model import limits
-from posegsa.model.schedules import FuzzyGain, KnotGain, check_schedule
+from posegsa.model.schedules import FuzzyGain, GainSchedule, KnotGain, check_schedule
 from posegsa.model.signal import SignalSettings
 from posegsa.version import VERSION
 from posegsa.words import counted
@@ -116,7 +116,9 @@ def filter_to_c(
     check_filter("filter", filter)
     check_name(name)
     if isinstance(filter, Observer):
-        template, values = "observer.h", _observer(filter, vectors, landmarks)
+        _check_measured(filter.signal)
+    if isinstance(filter, Observer) and not isinstance(filter.schedule, ObserverGains):
+        template, values = "observer.h", _observer(filter, filter.schedule, vectors, landmarks)
     else:
         template, values = "any_filter.h", any_filter(filter, vectors, landmarks)
     values |= {
@@ -131,22 +133,18 @@ def filter_to_c(
 
 
 def _observer(
-    filter: Observer, vectors: ArrayLike | None, landmarks: ArrayLike | None
+    filter: Observer,
+    schedule: GainSchedule | None,
+    vectors: ArrayLike | None,
+    landmarks: ArrayLike | None,
 ) -> dict[str, Any]:
     """The values for the template `observer.h`."""
-    schedule, settings, signal = filter.schedule, filter.settings, filter.signal
+    settings, signal = filter.settings, filter.signal
     if schedule is None:
         refuse("filter.schedule: None", "a gain schedule")
     with jax.enable_x64(True):
         check_schedule(schedule)
     check_type("filter.settings", settings, FilterSettings)
-    check_type("filter.signal", signal, SignalSettings)
-    if signal.signal == "pose":
-        refuse(
-            'signal = "pose": the gain uses the true errors, which no vehicle knows, so the '
-            "filter can't run outside a simulation",
-            '"measured"; tune with gain.signal = "measured"',
-        )
     with jax.enable_x64(True), fitting("filter_to_c: schedule"):
         initial_gain = float(schedule.initial_gain())
     known = references(vectors, landmarks, settings)
@@ -183,6 +181,17 @@ def _observer(
         template = templates().get_template("controller.c")
         values["controller"] = template.render(linkage="static inline ", **controller)
     return values
+
+
+def _check_measured(signal: SignalSettings) -> None:
+    """Refuse an error signal that needs the truth."""
+    check_type("filter.signal", signal, SignalSettings)
+    if signal.signal == "pose":
+        refuse(
+            'signal = "pose": the gain uses the true errors, which no vehicle knows, so the '
+            "filter can't run outside a simulation",
+            '"measured"; tune with gain.signal = "measured"',
+        )
 
 
 def _limits(values: Mapping[str, Any]) -> list[dict[str, str]]:

@@ -44,7 +44,7 @@ class ResultFigure:
 
 
 WHAT = {"unknown": "velocities' noise", "belief": "a sensor's variance"}
-"""The noise that each controller of a Kalman filter multiplies, by its role."""
+"""What each controller of a role multiplies; that of belief divides an observer's weight by it."""
 
 
 def _parts(result: Result) -> dict[str, Any]:
@@ -56,13 +56,13 @@ def _parts(result: Result) -> dict[str, Any]:
         parts |= {"evaluation": judged.evaluation, "trajectory": judged.trajectory}
     if result.filter.kind == "fuzzy":
         parts |= {"trust": None if judged is None else judged.trust}
-    for role, controller in result.controllers.items():  # figures show the first one
+    for role, controller in [*result.controllers.items()][:1]:  # figures show the first one
         section = result.tuned.filter
         if role != "gain":
             largest, of = getattr(section, f"{role}_largest"), WHAT[role]
             base = f"{largest:.0f}" if largest >= 10 else f"{largest:.3g}"
-            parts.setdefault("output", f"$K$ [-]; {of} times ${base}^{{(K-1)/100}}$")
-        parts.setdefault("controller", controller)
+            parts["output"] = f"$K$ [-]; {of} times ${base}^{{(K-1)/100}}$"
+        parts["controller"] = controller
     return parts
 
 

@@ -46,8 +46,7 @@ class Residual(NamedTuple):
     normalised: Array
     """|z - y|^2 over its expectation, tr(H Sigma H^T) + 3 s^2, s the standard deviation of its
     noise; 1 if the covariance is right. Or the variance that it implies, as a multiple of s^2:
-    (|z - y|^2 - tr(H Sigma H^T)) / (3 s^2), which can be negative. An observer has no Sigma: both
-    are |z - y|^2 / (3 s^2)."""
+    (|z - y|^2 - tr(H Sigma H^T)) / (3 s^2), which can be negative."""
     factor: Array
     """Factor on its weight, 0 where it is missing."""
 
@@ -64,7 +63,8 @@ def residuals(
 
     Args:
         estimate: before the sample, of the batch shape.
-        covariance: of its errors; None takes the estimate for exact.
+        covariance: of its errors. None takes the estimate for exact, and all measurements of a
+            sensor for equally good: an observer's weights also follow the sensors' rates.
         sample: with its vectors as measured.
         vector: standard deviation of each component of a vector, in its unit.
         landmark: standard deviation of each coordinate of a landmark [m].
@@ -74,7 +74,8 @@ def residuals(
     learnt = bool(estimate.vector_biases)
 
     def residual(spread: Array | float, off: Vec3, deviation: Array, factor: Array) -> Residual:
-        square, own = dot(off, off), 3 * variance_of(deviation, factor)
+        one = deviation * deviation if covariance is None else variance_of(deviation, factor)
+        square, own = dot(off, off), 3 * one
         if of == "variance":
             return Residual((square - spread) / own, factor)
         return Residual(square / (spread + own), factor)

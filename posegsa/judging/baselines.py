@@ -16,7 +16,7 @@ from jax import Array
 
 from posegsa import config, steps
 from posegsa.filters.kalman import KalmanFilter
-from posegsa.filters.observer import Observer
+from posegsa.filters.observer import Observer, ObserverGains
 from posegsa.judging.description import (
     TITLES,
     Description,
@@ -49,7 +49,7 @@ from posegsa.search.population import ScenarioBatch, costs_by_scenario, over_sce
 from posegsa.search.problem import TuningProblem
 from posegsa.search.run_search import first_search, run_search, tell_share
 from posegsa.search.schedule_spaces import schedule_space
-from posegsa.search.search_spaces import search_space
+from posegsa.search.search_spaces import observer_space, search_space
 
 CONSTANT_GAINS = 201
 """Number of gains that `best_constant` tries, evenly spaced over the controller's gain range."""
@@ -74,11 +74,13 @@ def best_constant(problem: TuningProblem) -> Candidate:
 
 
 def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
-    """Search a kind of schedule, and the numbers tuned with it, on the training scenarios."""
+    """Search a kind of gain schedule, and what is tuned with it, on the training scenarios."""
     experiment = searchable(problem.experiment)
     one = problem._replace(
         experiment=experiment,
-        space=search_space(experiment, schedule_space(kind, experiment)),
+        space=search_space(
+            experiment, observer_space(schedule_space(kind, experiment), experiment)
+        ),
     )
     begin = first_search(one, keys(experiment.run.seed).baselines)
     found = run_search(one, tell_share, search=begin)
@@ -109,6 +111,8 @@ def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
     with np.errstate(divide="ignore", invalid="ignore"):
         log_gain = np.mean(np.log(np.maximum(gain[:, kept], 1e-3)), axis=0)
     schedule = KnotGain(*(jnp.asarray(a, training.dtype) for a in (time[kept], log_gain)))
+    if isinstance(tuned.schedule, ObserverGains):  # belief stays as it is
+        schedule = tuned.schedule._replace(gain=schedule)
     return Candidate(schedule, tuned.values, tuned.keys)
 
 

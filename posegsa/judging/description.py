@@ -15,15 +15,15 @@ from posegsa.arguments import refuse
 from posegsa.config import PARAMETERS, SEARCHED, Experiment
 from posegsa.filters.base import Filter, Sensors
 from posegsa.filters.kalman import KalmanFilter
-from posegsa.filters.noise_schedules import NO_NOISE_GAINS, NoiseGains
-from posegsa.filters.observer import Observer
+from posegsa.filters.noise_schedules import NoiseGains
+from posegsa.filters.observer import Observer, ObserverGains
 from posegsa.model.fuzzy import Rules
 from posegsa.model.schedules import SCHEDULES, FuzzyGain, GainSchedule, KnotGain
 from posegsa.search.candidates import Candidate, Schedule
 from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
 from posegsa.search.schedule_spaces import KNOTS, knot_times
-from posegsa.search.search_spaces import parameter_space, rule_table
+from posegsa.search.search_spaces import parameter_space, role_controllers, rule_table
 from posegsa.settings.fields import Number
 from posegsa.words import text_table
 
@@ -79,6 +79,8 @@ def kind_of(experiment: Experiment) -> str:
 def _of_its_kind(found: Description) -> Description:
     """A description that was read, after a check that it has the numbers of its kind."""
     lengths = {name: len(values) for name, values in found.numbers.items()}
+    if found.kind in SCHEDULES:  # numbers of belief are checked where its kind is known
+        lengths = {name: length for name, length in lengths.items() if "." not in name}
     match found.kind:
         case "fuzzy":
             # A rule table is checked where it is known whether it was searched (`candidate_of`).
@@ -108,16 +110,18 @@ StoredFilter = Annotated[Description, AfterValidator(_of_its_kind)]
 
 def describe(candidate: Candidate, experiment: Experiment, evaluations: int) -> Description:
     """The description of a candidate of an experiment, as it is stored."""
-    schedule, also = candidate.schedule, candidate.values_by_key()
-    if schedule is None or isinstance(schedule, NoiseGains):
-        kind, numbers = experiment.filter.kind, {}
-        for role, one in (schedule or NO_NOISE_GAINS)._asdict().items():
-            if one is not None:
-                own = _numbers_of(one, experiment).items()
+    schedule, gain, also = candidate.schedule, candidate.gain, candidate.values_by_key()
+    kind, numbers = experiment.filter.kind, dict[str, list[float]]()
+    if gain is not None:
+        kind = next(kind for kind, made in SCHEDULES.items() if isinstance(gain, made))
+        numbers = _numbers_of(gain, experiment)
+    if isinstance(schedule, NoiseGains | ObserverGains):
+        there = role_controllers(experiment)
+        for role, one in schedule._asdict().items():
+            if one is not None and role != "gain":
+                own = _numbers_of(one, there).items()
                 numbers |= {f"{role}.{name}": values for name, values in own}
-        return Description(kind, numbers, also, evaluations)
-    kind = next(kind for kind, made in SCHEDULES.items() if isinstance(schedule, made))
-    return Description(kind, _numbers_of(schedule, experiment), also, evaluations)
+    return Description(kind, numbers, also, evaluations)
 
 
 def _numbers_of(schedule: GainSchedule, experiment: Experiment) -> dict[str, list[float]]:
@@ -139,11 +143,15 @@ def candidate_of(found: Description, experiment: Experiment) -> Candidate:
     """
     dtype = jnp.dtype(experiment.run.dtype)
     with jax.enable_x64(dtype == jnp.float64):
+        of_roles = {name: values for name, values in found.numbers.items() if "." in name}
         schedule: Schedule | None = None
-        if found.kind == "kalman" and found.numbers:
-            schedule = _noise_gains(found.numbers, experiment)
+        roles = _of_roles(of_roles, experiment) if of_roles else {}
+        if found.kind == "kalman" and roles:
+            schedule = NoiseGains(**roles)
         elif found.kind not in TITLES:
-            schedule = _schedule(found.kind, found.numbers, experiment)
+            own = {name: values for name, values in found.numbers.items() if name not in of_roles}
+            schedule = _schedule(found.kind, own, experiment)
+            schedule = ObserverGains(schedule, **roles) if roles else schedule
         values = tuple(jnp.asarray(value, dtype) for value in found.also.values())
         return Candidate(schedule, values, tuple(found.also))
 
@@ -151,7 +159,7 @@ def candidate_of(found: Description, experiment: Experiment) -> Candidate:
 def _schedule(
     kind: str, numbers: Mapping[str, list[float]], experiment: Experiment
 ) -> GainSchedule:
-    """The schedule of an observer, or of a Kalman filter's noise, from its numbers.
+    """A schedule from its numbers.
 
     Raises:
         ValueError: Its rule table is invalid, or was not searched in this experiment.
@@ -166,8 +174,10 @@ def _schedule(
     return made(**arrays if made is KnotGain else {name: a[0] for name, a in arrays.items()})
 
 
-def _noise_gains(numbers: Mapping[str, list[float]], experiment: Experiment) -> NoiseGains:
-    """The schedules of a Kalman filter's noises.
+def _of_roles(
+    numbers: Mapping[str, list[float]], experiment: Experiment
+) -> dict[str, GainSchedule]:
+    """The schedules of a Kalman filter's noises, or of an observer's belief, by role.
 
     Raises:
         ValueError: They are not those of the experiment.
@@ -176,7 +186,7 @@ def _noise_gains(numbers: Mapping[str, list[float]], experiment: Experiment) -> 
     for name, values in numbers.items():
         role, _, own = name.partition(".")
         by_role.setdefault(role, {})[own] = values
-    kinds = section.roles if isinstance(section, config.KalmanConfig) else {}
+    kinds: Mapping[str, str] = getattr(section, "roles", {})
     if by_role.keys() != kinds.keys():
         allowed = ", ".join(kinds) or "none"
         raise ValueError(f"its schedules are {', '.join(by_role)}; allowed: {allowed}")
@@ -185,9 +195,8 @@ def _noise_gains(numbers: Mapping[str, list[float]], experiment: Experiment) -> 
         needed = ({"time": KNOTS} if kind == "clock" else {}) | dict(config.SCHEDULE_NUMBERS[kind])
         if lengths != needed:
             raise ValueError(f"the numbers of {role} are {lengths} by length; allowed: {needed}")
-    return NoiseGains(
-        **{role: _schedule(kind, by_role[role], experiment) for role, kind in kinds.items()}
-    )
+    there = role_controllers(experiment)
+    return {role: _schedule(kind, by_role[role], there) for role, kind in kinds.items()}
 
 
 def described_filter(
@@ -224,7 +233,7 @@ def configured_filter(experiment: Experiment) -> Description:
     section, values = experiment.filter, list(experiment.tuned.numbers)
     kinds: Mapping[str, str] = getattr(section, "roles", {})
     if isinstance(section, config.ObserverConfig):
-        kinds = {"": section.schedule}
+        kinds = {"": section.schedule} | kinds
     if kinds and (not values or experiment.fuzzy.rules == SEARCHED):
         refuse(
             f"tuned.numbers: none of a {title_of(kind_of(experiment))}, or rules that are searched",
@@ -239,7 +248,8 @@ def configured_filter(experiment: Experiment) -> Description:
             own, values = values[:length], values[length:]
             if kind == "fuzzy":
                 with jax.enable_x64(experiment.run.dtype == "float64"):
-                    k = parameter_space(experiment).checked(np.array(own))
+                    space = parameter_space(role_controllers(experiment) if role else experiment)
+                    k = space.checked(np.array(own))
                     own = np.asarray(k, np.float64).tolist()
             numbers[before + name] = own
     return Description(kind_of(experiment), numbers, dict(experiment.tuned.also), 0)

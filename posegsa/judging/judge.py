@@ -193,9 +193,9 @@ def _beside(problem: TuningProblem, tuned: Candidate) -> tuple[str, Candidate, i
         return AS_CONFIGURED, Candidate(), 0
     if section.schedule == "constant":
         return SMOOTH, search_baseline(problem, "smooth"), evaluations
-    if tuned.keys:
+    if tuned.keys or section.roles:
         return CONSTANT, search_baseline(problem, "constant"), evaluations
-    # The gain alone is found on a grid. With further tuned numbers it needs a search of its own.
+    # The gain alone is found on a grid. With further numbers it needs a search of its own.
     return CONSTANT, best_constant(problem), CONSTANT_GAINS
 
 

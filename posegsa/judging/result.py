@@ -16,7 +16,7 @@ from posegsa.config import PARAMETERS, SEARCHED, Experiment, number_at
 from posegsa.errors import PosegsaWarning
 from posegsa.filters.base import Filter, Sensors, sensors_of
 from posegsa.filters.noise_schedules import NoiseGains
-from posegsa.filters.observer import Observer
+from posegsa.filters.observer import Observer, ObserverGains
 from posegsa.filters.rollout import Estimates
 from posegsa.judging.description import (
     StoredFilter,
@@ -120,13 +120,13 @@ class Result:
 
     @property
     def schedule(self) -> GainSchedule:
-        """The tuned gain schedule, ready for `Observer`.
+        """The tuned gain schedule, ready for `Observer`; without belief (`candidate.schedule`).
 
         Raises:
             ArgumentError: The filter does not have one.
         """
-        schedule = self.candidate.schedule
-        if schedule is None or isinstance(schedule, NoiseGains):
+        schedule = self.candidate.gain
+        if schedule is None:
             refuse(f"schedule of a {self.filter.title}", "that of an observer")
         return schedule
 
@@ -137,7 +137,7 @@ class Result:
         Raises:
             ArgumentError: The filter does not have one.
         """
-        schedule = self.candidate.schedule
+        schedule = self.candidate.gain
         if not isinstance(schedule, FuzzyGain):
             refuse(f"controller of a {self.filter.title}", "that of a fuzzy gain")
         return schedule.controller
@@ -146,13 +146,15 @@ class Result:
     def controllers(self) -> dict[str, FuzzyController]:
         """The tuned fuzzy controllers, by the quantity that they schedule.
 
-        "gain" of an observer; "unknown" and "belief" of a Kalman filter's noises (`NoiseGains`,
-        tied for vectors and landmarks).
+        "gain" and "belief" of an observer; "unknown" and "belief" of a Kalman filter's noises. That
+        of belief is the one of the vectors.
         """
         schedule = self.candidate.schedule
-        found = {"gain": schedule}
+        found: dict[str, GainSchedule | None] = {"gain": self.candidate.gain}
         if isinstance(schedule, NoiseGains):
-            found = {"unknown": schedule.unknown, "belief": schedule.vectors or schedule.landmarks}
+            found = {"unknown": schedule.unknown}
+        if isinstance(schedule, NoiseGains | ObserverGains):
+            found["belief"] = schedule.vectors or schedule.landmarks
         return {
             role: each.controller for role, each in found.items() if isinstance(each, FuzzyGain)
         }

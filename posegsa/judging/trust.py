@@ -74,7 +74,7 @@ def check(
         return float(np.mean(metrics.cost))
 
     cost = mean_cost(errors.select(slice(experiment.run.training_scenarios)))
-    schedule = tuned.schedule
+    schedule = tuned.gain
     controller = schedule.controller if isinstance(schedule, FuzzyGain) else None
     start = problem.training.initial
     pushed = problem.training._replace(initial=_perturbed(start))

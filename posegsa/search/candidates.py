@@ -38,6 +38,13 @@ class Candidate:
     keys: tuple[str, ...] = field(default=(), metadata={"static": True})
     """Their keys in the configuration."""
 
+    @property
+    def gain(self) -> GainSchedule | None:
+        """An observer's gain schedule, without belief; None of another filter."""
+        if isinstance(self.schedule, NoiseGains):
+            return None
+        return self.schedule.gain if isinstance(self.schedule, ObserverGains) else self.schedule
+
     def values_by_key(self) -> dict[str, float]:
         """The other tuned numbers by key; only for one candidate."""
         return {key: float(value) for key, value in zip(self.keys, self.values, strict=True)}

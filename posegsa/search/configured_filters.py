@@ -17,7 +17,7 @@ from posegsa.filters.base import Filter, Sensors, check_filter
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.leads import LEAD_KEYS, Leads
 from posegsa.filters.noise_schedules import NoiseSignal, NoiseSignals
-from posegsa.filters.observer import FilterSettings, Observer, VectorBias
+from posegsa.filters.observer import BeliefSettings, FilterSettings, Observer, VectorBias
 from posegsa.model.signal import SignalSettings, Unknown
 from posegsa.model.vectors import VectorSettings
 from posegsa.search.host_arrays import host_array
@@ -62,7 +62,9 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
             normalise=section.normalise_vectors,
             cross=section.cross_vector,
             # Candidates with their own weights also combine the vectors differently.
-            each_agent=learnt or any("vector" in one.key for one in experiment.also),
+            each_agent=learnt
+            or bool(section.roles)
+            or any("vector" in one.key for one in experiment.also),
         ),
         landmark_weights=tuple(number(p.weight) for p in scenario.landmarks),
         vector_bias=VectorBias(
@@ -127,8 +129,15 @@ def filter_of(
     settings = filter_settings(experiment)
     if sensors is not None:
         settings = _for_sensors(settings, *sensors)
+    belief = None
+    if section.roles:
+        deviations = (host_array(one, dtype) for one in (section.vector, section.landmark))
+        belief = BeliefSettings(_noise_signal(section, "belief", dtype), *deviations)
     return Observer(
-        schedule=None, settings=settings, signal=signal_settings(experiment.gain, dtype)
+        schedule=None,
+        settings=settings,
+        signal=signal_settings(experiment.gain, dtype),
+        belief=belief,
     )
 
 
@@ -143,14 +152,15 @@ def _leads(
 
 def _noise_signals(section: config.KalmanConfig, dtype: DTypeLike) -> NoiseSignals:
     """The input signals of a Kalman filter's noise schedules."""
+    return NoiseSignals(*(_noise_signal(section, role, dtype) for role in NoiseSignals._fields))
 
-    def signal(role: str) -> NoiseSignal:
-        names = NoiseSignal._fields
-        return NoiseSignal(
-            *(host_array(getattr(section, f"{role}_{name}"), dtype) for name in names)
-        )
 
-    return NoiseSignals(*map(signal, NoiseSignals._fields))
+def _noise_signal(
+    section: config.KalmanConfig | config.ObserverConfig, role: str, dtype: DTypeLike
+) -> NoiseSignal:
+    """The input signal of one role."""
+    names = NoiseSignal._fields
+    return NoiseSignal(*(host_array(getattr(section, f"{role}_{name}"), dtype) for name in names))
 
 
 def _own_filter(own: OwnFilter | None, numbers: dict[str, Array], dtype: DTypeLike) -> Filter:

@@ -131,9 +131,7 @@ class NoiseSpaces:
     each: tuple[ScheduleSpace, ...]
     roles: tuple[str, ...] = field(metadata={"static": True})
     """The role of each in `joined`."""
-    joined: type[NoiseGains | ObserverGains] = field(
-        default=NoiseGains, metadata={"static": True}
-    )
+    joined: type[NoiseGains | ObserverGains] = field(default=NoiseGains, metadata={"static": True})
     """What the schedules are joined in: those of a Kalman filter, or of an observer."""
 
     @property

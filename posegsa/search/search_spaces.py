@@ -8,6 +8,7 @@ from jax import Array
 
 from posegsa import config
 from posegsa.arguments import check_type
+from posegsa.filters.observer import ObserverGains
 from posegsa.model.fuzzy import Rules
 from posegsa.search.candidates import ScheduleSpace, SearchSpace, without_schedule
 from posegsa.search.host_arrays import host_array
@@ -74,13 +75,46 @@ def own_space(experiment: config.Experiment, lowest: float | None = None) -> Sch
     if not isinstance(section, config.ObserverConfig):
         return without_schedule(experiment.run.dtype)
     if section.schedule == "fuzzy":
-        return parameter_space(experiment)
-    return schedule_space(section.schedule, experiment, lowest)
+        return observer_space(parameter_space(experiment), experiment)
+    return observer_space(schedule_space(section.schedule, experiment, lowest), experiment)
+
+
+def observer_space(gain: ScheduleSpace, experiment: config.Experiment) -> ScheduleSpace:
+    """The space of a gain schedule together with those of the experiment's belief, if it has any.
+
+    Args:
+        gain: The space of the gain schedule.
+        experiment: One of an observer.
+    """
+    section = experiment.filter
+    if not (isinstance(section, config.ObserverConfig) and section.roles):
+        return gain
+    beliefs = (role_space(kind, experiment) for kind in section.roles.values())
+    return NoiseSpaces((gain, *beliefs), ("gain", *section.roles), ObserverGains)
 
 
 def role_space(kind: str, experiment: config.Experiment) -> ScheduleSpace:
-    """The space of one schedule of a Kalman filter's noises."""
-    return parameter_space(experiment) if kind == "fuzzy" else noise_space(kind, experiment)
+    """The space of one schedule of a Kalman filter's noises, or of an observer's belief."""
+    if kind != "fuzzy":
+        return noise_space(kind, experiment)
+    return parameter_space(role_controllers(experiment))
+
+
+def role_controllers(experiment: config.Experiment) -> config.Experiment:
+    """The experiment with [fuzzy] and [parameters] of the controllers of a role.
+
+    A Kalman filter's are the configured ones. An observer's belief has the paper's boxes, range and
+    table, because those in the configuration are of its gain [1/s].
+    """
+    if not isinstance(experiment.filter, config.ObserverConfig):
+        return experiment
+    paper = {"rules": config.PAPER_RULES, "offset": 1.0}
+    return experiment.model_copy(
+        update={
+            "fuzzy": experiment.fuzzy.model_copy(update=paper),
+            "parameters": config.ParametersConfig(),
+        }
+    )
 
 
 def search_space(
