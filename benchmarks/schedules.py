@@ -56,10 +56,10 @@ RULES: dict[str, tuple[list[tuple[float, float]], Callable[[Array], RampGain]]] 
     SAGE_HUSA: ([(0.0, 0.2)], lambda x: RampGain(x[0], jnp.ones_like(x[0]))),
 }
 """Rules that users know, as straight lines of belief with one number each for vectors and for
-landmarks. The factor is q^slope above a threshold. A gate ignores what is above it. Huber's weight of a residual r in standard
-deviations, c / |r| beyond c, is the slope 1/2 of q = r^2, at once. The plain residual law is a
-power of the low-passed q. Sage and Husa's variance is the low-passed variance that the residuals
-imply."""
+landmarks. The factor is q^slope above a threshold. A gate ignores what is above it. Huber's weight
+of a residual r in standard deviations, c / |r| beyond c, is the slope 1/2 of q = r^2, at once. The
+plain residual law is a power of the low-passed q. Sage and Husa's variance is the low-passed
+variance that the residuals imply."""
 Contenders = dict[str, tuple[dict[str, Any], list[dict[str, Any]] | None]]
 """By name: changes of [filter], and numbers tuned in addition to a schedule, or None for no search.
 A contender whose name begins with that of a rule is searched in the rule's space."""
