@@ -37,6 +37,6 @@ def beside(work: Callable[[], T]) -> Callable[[], T]:
         else:
             future.set_result(found)
 
-    # A process that is stopped does not wait for it.
-    threading.Thread(target=contextvars.copy_context().run, args=(run,), daemon=True).start()
+    # A process that ends waits for it: XLA crashes if it ends while a program is compiled.
+    threading.Thread(target=contextvars.copy_context().run, args=(run,)).start()
     return future.result
