@@ -175,6 +175,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Schedules of a Kalman filter and alternatives.")
     parser.add_argument("family", help="a configuration of posegsa: its scenarios and cost")
     parser.add_argument("--seeds", type=int, default=1, help="searches of each contender")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first search")
     parser.add_argument("--scenarios", type=int, default=200)
     parser.add_argument("--set", type=int, default=10, help="which held-out scenarios")
     parser.add_argument("--only", nargs="+", help="contenders beside the controller (all)")
@@ -182,7 +183,7 @@ def main() -> None:
     posegsa.enable_fast_path()
     keys = held_out_keys(0, options.scenarios, options.set)
     family = config.load(options.family)
-    for seed in range(options.seeds):
+    for seed in range(options.first, options.first + options.seeds):
         found: dict[str, tuple[float | None, np.ndarray]] = {}
         one = family
         for name, (contender, searched) in experiments(options.family, seed).items():
