@@ -47,18 +47,19 @@ BELIEF_ALSO = [
     {"key": "filter.belief_smoothing", "lower": 0.01, "upper": 1.0, "scale": "logarithmic"}
 ]
 CONTROLLER = "the paper's controller"
-HUBER, POWER, SAGE_HUSA = "Huber", "plain residual law", "Sage and Husa"
+GATE, HUBER, POWER, SAGE_HUSA = "gate", "Huber", "plain residual law", "Sage and Husa"
 RULES: dict[str, tuple[list[tuple[float, float]], Callable[[Array], RampGain]]] = {
+    GATE: ([(0.0, 0.4)], lambda x: RampGain(x[0], jnp.full_like(x[0], 1000.0))),
     HUBER: ([(0.0, 0.4)], lambda x: RampGain(x[0], jnp.full_like(x[0], 0.5))),
     POWER: ([(0.1, 3.0)], lambda x: RampGain(jnp.zeros_like(x[0]), x[0])),
     # The threshold is searched too: as written by Sage and Husa it is 1, which is 0 here.
     SAGE_HUSA: ([(0.0, 0.2)], lambda x: RampGain(x[0], jnp.ones_like(x[0]))),
 }
 """Rules that users know, as straight lines of belief with one number each for vectors and for
-landmarks. The factor is q^slope above a threshold. Huber's weight of a residual r in standard
-deviations, c / |r| beyond c, is the slope 1/2 of q = r^2, at once. The plain residual law is a
-power of the low-passed q. Sage and Husa's variance is the low-passed variance that the residuals
-imply."""
+landmarks. The factor is q^slope above a threshold. A gate ignores what is above it. Huber's weight
+of a residual r in standard deviations, c / |r| beyond c, is the slope 1/2 of q = r^2, at once. The
+plain residual law is a power of the low-passed q. Sage and Husa's variance is the low-passed
+variance that the residuals imply."""
 Contenders = dict[str, tuple[dict[str, Any], list[dict[str, Any]] | None]]
 """By name: changes of [filter], and numbers tuned in addition to a schedule, or None for no search.
 A contender whose name begins with that of a rule is searched in the rule's space."""
@@ -71,8 +72,9 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
         return {
             "the sensors' noises, not tuned": ({"belief": "off"}, None),
             "fixed noises, tuned": ({"belief": "off"}, NOISES),
-            "straight line at once, a gate if steep": (gate, []),
+            "straight line at once": (gate, []),
             "straight line, low-passed": ({"belief": "ramp"}, BELIEF_ALSO),
+            GATE: (gate, []),
             HUBER: (gate, []),
             f"{HUBER}, noises too": (gate, NOISES),
             POWER: ({"belief": "ramp"}, BELIEF_ALSO),
@@ -173,6 +175,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Schedules of a Kalman filter and alternatives.")
     parser.add_argument("family", help="a configuration of posegsa: its scenarios and cost")
     parser.add_argument("--seeds", type=int, default=1, help="searches of each contender")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first search")
     parser.add_argument("--scenarios", type=int, default=200)
     parser.add_argument("--set", type=int, default=10, help="which held-out scenarios")
     parser.add_argument("--only", nargs="+", help="contenders beside the controller (all)")
@@ -180,7 +183,7 @@ def main() -> None:
     posegsa.enable_fast_path()
     keys = held_out_keys(0, options.scenarios, options.set)
     family = config.load(options.family)
-    for seed in range(options.seeds):
+    for seed in range(options.first, options.first + options.seeds):
         found: dict[str, tuple[float | None, np.ndarray]] = {}
         one = family
         for name, (contender, searched) in experiments(options.family, seed).items():

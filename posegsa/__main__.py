@@ -1,7 +1,5 @@
 """`python -m posegsa`."""
 
-import sys
+from posegsa.cli.command import entry
 
-from posegsa.cli.command import main
-
-sys.exit(main())
+entry()

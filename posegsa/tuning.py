@@ -2,8 +2,9 @@
 
 import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from posegsa.errors import (
     RunFolderError,
     SaveError,
 )
-from posegsa.judging.judge import Recorded, judge
+from posegsa.judging.judge import Recorded, References, judge, references
 from posegsa.judging.result import Result, TuneBatch
 from posegsa.progress import shown
 from posegsa.recordings.fingerprint import fingerprint
@@ -44,6 +45,7 @@ from posegsa.saving.resume import (
     folder_to_resume,
 )
 from posegsa.search import memory
+from posegsa.search.beside import beside
 from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.search.problem import TuningProblem, tuning_problem
@@ -161,7 +163,8 @@ def tune(
                 return _tune_in_folder(task, folder, None, drawn)
         with jax.enable_x64(task.experiment.run.dtype == "float64"):
             problem = task.problem()
-            return judge(problem, run_search(problem, tell_search), recorded)
+            known = task.references(problem)
+            return judge(problem, run_search(problem, tell_search), recorded, known)
 
 
 class _Task(NamedTuple):
@@ -195,6 +198,10 @@ class _Task(NamedTuple):
             problem = recorded_problem(self.experiment, training, weight, own=self.own)
         steps.begin("compiling")
         return problem
+
+    def references(self, problem: TuningProblem) -> Callable[[], References] | None:
+        """What judges the filter whatever is found, begun while the search is compiled."""
+        return None if self.recorded else beside(partial(references, problem))
 
 
 def _stored(recorded: Recorded | None) -> RecordedTask | None:
@@ -321,9 +328,10 @@ def _tune_in_folder(
     stored = _stored(task.recorded)
     with jax.enable_x64(task.experiment.run.dtype == "float64"):
         problem = task.problem()
+        known = task.references(problem)
         found = search_with_checkpoints(problem, folder, run, tell_search, stored)
         with _resumable(folder, stored):
-            result = judge(problem, found, task.recorded)
+            result = judge(problem, found, task.recorded, known)
     try:
         with _resumable(folder, stored):
             write_result(result, folder, figures, own_checkpoints=True)

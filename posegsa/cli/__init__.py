@@ -1,5 +1,5 @@
 """The command line."""
 
-from posegsa.cli.command import main
+from posegsa.cli.command import entry, main
 
-__all__ = ["main"]
+__all__ = ["entry", "main"]

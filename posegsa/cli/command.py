@@ -14,6 +14,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from posegsa.cli import check, compare, configs, evaluate, export, replay, sweep, tune
 from posegsa.cli.parser import Parser
@@ -57,6 +58,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _abandon_stdout()
         print(f"posegsa: standard output: {error.strerror or error}", file=sys.stderr)
         return 1
+
+
+def entry() -> NoReturn:
+    """Run the command line, and end the process with its status.
+
+    A process that was stopped by a signal ends at once, whatever is still compiled beside.
+    """
+    status = main()
+    if status > 128:
+        os._exit(status)  # the output is flushed
+    sys.exit(status)
 
 
 def _abandon_stdout() -> None:

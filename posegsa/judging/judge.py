@@ -1,8 +1,8 @@
 """Turn the outcome of a search into a result: judge it on unseen data, and check it."""
 
-import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -11,7 +11,6 @@ import numpy as np
 
 from posegsa import config, steps
 from posegsa.config import ObserverConfig
-from posegsa.errors import PosegsaWarning
 from posegsa.judging import trust
 from posegsa.judging.baselines import CONSTANT_GAINS, best_constant, search_baseline
 from posegsa.judging.clairvoyance import clairvoyant_costs
@@ -46,6 +45,7 @@ from posegsa.judging.trajectory import trajectory_on
 from posegsa.judging.untuned import always_starts, untuned_kalman
 from posegsa.recordings.recording import Recording
 from posegsa.runtime import environment
+from posegsa.search.beside import beside
 from posegsa.search.candidates import Candidate
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
@@ -57,11 +57,20 @@ from posegsa.version import VERSION
 _PARTS = (
     "the filter to compare with",
     "unseen scenarios",
+    "long after",
     "references",
     "one run",
-    "long after",
     "trust",
 )
+
+
+class References(NamedTuple):
+    """What judges a filter on held-out scenarios and does not depend on its search."""
+
+    untuned: dict[str, Contender]
+    """The untuned Kalman filter, by name; none where it cannot start."""
+    clairvoyant: np.ndarray | None
+    """(S,) costs of the clairvoyant; None with a user's own cost."""
 
 
 class Recorded(NamedTuple):
@@ -73,13 +82,19 @@ class Recorded(NamedTuple):
     """Weight of the position's RMSE in the cost [deg/m]."""
 
 
-def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None) -> Result:
+def judge(
+    problem: TuningProblem,
+    found: Found,
+    recorded: Recorded | None = None,
+    known: Callable[[], References] | None = None,
+) -> Result:
     """Judge the best candidate of a search.
 
     Args:
         problem: The problem that was searched.
         found: The outcome of the search.
         recorded: The recordings that it was tuned on, and those held out; None without recordings.
+        known: Returns the `references` of drawn scenarios, if they were begun before.
     """
     search = found.search
     configured = _configured_if_gained_little(problem, float(search.best_cost))
@@ -87,8 +102,8 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
     if recorded is None:
         tuned_on, own_cost, weight = "scenarios", cost_name(problem.cost), 0.0
     else:
-        beside = problem.beside is not None
-        tuned_on = "recordings and scenarios" if beside else "recordings"
+        mixed = problem.beside is not None
+        tuned_on = "recordings and scenarios" if mixed else "recordings"
         own_cost, weight = cost_name(None), recorded.position_weight
     description = describe(tuned, problem.experiment, problem.experiment.search.evaluations)
     result = Result(
@@ -104,7 +119,7 @@ def judge(problem: TuningProblem, found: Found, recorded: Recorded | None = None
             search_seconds=found.search_seconds,
             history=jax.tree.map(_stored, search.history),
         ),
-        on_scenarios=on_scenarios(problem, tuned, description) if recorded is None else None,
+        on_scenarios=on_scenarios(problem, tuned, description, known) if recorded is None else None,
         environment=environment(),
         version=VERSION,
         own=problem.own,
@@ -137,12 +152,28 @@ def _stored(column: jax.Array) -> np.ndarray:
     return a.astype(np.float64) if a.dtype.kind == "f" else a.astype(np.int64)
 
 
-def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -> OnScenarios:
+def references(problem: TuningProblem) -> References:
+    """What judges a filter on the held-out scenarios of a problem, whatever a search finds."""
+    experiment = problem.experiment
+    clairvoyant = clairvoyant_costs(experiment) if problem.cost is None else None
+    return References(_untuned(problem), clairvoyant)
+
+
+def on_scenarios(
+    problem: TuningProblem,
+    tuned: Candidate,
+    found: Description,
+    known: Callable[[], References] | None = None,
+) -> OnScenarios:
     """The performance of a candidate on drawn scenarios, and of the filter always compared.
 
-    `found` is its description.
+    `found` is its description, `known` is as in `judge`.
     """
     experiment, scenarios = problem.experiment, problem.simulated
+    known = known or beside(partial(references, problem))
+    count = experiment.run.training_scenarios
+    one_run = beside(partial(trajectory_on, tuned, scenarios, count))  # the first held-out one
+    precision = beside(partial(trust.other_precision, problem, tuned))
     _begin("the filter to compare with")
     name, other, evaluations = _beside(problem, tuned)
     judged = own_name(found)
@@ -150,7 +181,6 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -
     descriptions = {judged: found, name: describe(other, experiment, evaluations)}
     _begin("unseen scenarios")
     # Training and held-out scenarios run together, so each kind of schedule compiles once.
-    count = experiment.run.training_scenarios
     tracks = {name: error_tracks(each, scenarios) for name, each in candidates.items()}
     training = {
         name: metrics_of(each.select(slice(count)), problem.training, problem.cost)[0].cost
@@ -165,19 +195,18 @@ def on_scenarios(problem: TuningProblem, tuned: Candidate, found: Description) -
         )
         for name, each in tracks.items()
     }
-    _begin("references")
-    contenders |= _untuned(problem)
-    clairvoyant = clairvoyant_costs(experiment) if problem.cost is None else None
-    _begin("one run")
-    trajectory = trajectory_on(tuned, scenarios, count)  # the first held-out one
     _begin("long after")
     long_after = endurance(problem, tuned, other)
+    _begin("references")
+    untuned, clairvoyant = known()
+    _begin("one run")
+    trajectory = one_run()
     _begin("trust")
     return OnScenarios(
         training=training,
-        evaluation=evaluation(contenders, problem.held_out, clairvoyant=clairvoyant),
+        evaluation=evaluation(contenders | untuned, problem.held_out, clairvoyant=clairvoyant),
         endurance=long_after,
-        trust=trust.check(problem, tuned, tracks[judged], trajectory),
+        trust=trust.check(problem, tuned, tracks[judged], trajectory, precision()),
         trajectory=trajectory,
     )
 
@@ -203,9 +232,7 @@ def _untuned(problem: TuningProblem) -> dict[str, Contender]:
     """The untuned Kalman filter on the held-out scenarios, by name; none where it cannot start."""
     plain, run = untuned_kalman(problem.experiment), problem.experiment.run
     keys = held_out_keys(run.seed, run.held_out_scenarios)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PosegsaWarning)  # of a start that no sample fixes
-        batch = scenario_batch(plain, keys)
+    batch = scenario_batch(plain, keys, quiet=True)
     if not always_starts(batch):
         return {}
     found = configured_filter(plain)

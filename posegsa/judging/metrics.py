@@ -13,7 +13,7 @@ from posegsa.filters.calls import started
 from posegsa.filters.rollout import ErrorTrack, simulate_errors_together
 from posegsa.model.estimate import FilterState
 from posegsa.search.candidates import Candidate
-from posegsa.search.groups import LENGTH, in_groups, padded
+from posegsa.search.groups import LENGTH, SCENARIOS, in_groups, padded
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 
@@ -108,7 +108,8 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
             parts.append(jax.device_get(track).until(int(given)))
         return ErrorTrack.joined(parts)
 
-    return in_groups(some, count, padded(samples))
+    # Only errors are held over the whole length, so long scenarios can be in groups of full size.
+    return in_groups(some, count, padded(samples) // SCENARIOS)
 
 
 @partial(jax.jit, static_argnames="sensors")

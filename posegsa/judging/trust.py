@@ -61,11 +61,16 @@ class Trust:
 
 
 def check(
-    problem: TuningProblem, tuned: Candidate, errors: ErrorTrack, trajectory: Trajectory
+    problem: TuningProblem,
+    tuned: Candidate,
+    errors: ErrorTrack,
+    trajectory: Trajectory,
+    other: float,
 ) -> Trust:
     """Check the tuned candidate of a problem.
 
-    `errors` are its errors on all scenarios of the problem; `trajectory` is its run on one of them.
+    `errors` are its errors on all scenarios of the problem, `trajectory` is its run on one of them,
+    and `other` is its cost in `other_precision`.
     """
     experiment = problem.experiment
 
@@ -80,7 +85,6 @@ def check(
     pushed = problem.training._replace(initial=_perturbed(start))
     perturbed = mean_cost(error_tracks(tuned, pushed))
     double = experiment.run.dtype == "float64"
-    other = _cost_at("float32" if double else "float64", problem, tuned)
     # A cost that is not finite counts as sensitive: its difference is NaN or infinite.
     steady = all(abs(c - cost) <= SENSITIVE * abs(cost) for c in (other, perturbed))
     return Trust(
@@ -95,8 +99,9 @@ def check(
     )
 
 
-def _cost_at(dtype: str, problem: TuningProblem, tuned: Candidate) -> float:
-    """Mean training cost of the same measurements, filtered with another precision."""
+def other_precision(problem: TuningProblem, tuned: Candidate) -> float:
+    """Mean training cost of the same measurements, filtered in the other of float32 and float64."""
+    dtype = "float32" if problem.experiment.run.dtype == "float64" else "float64"
     own = jax.device_get((tuned, problem.training))
 
     def cast(a: np.ndarray) -> np.ndarray:

@@ -63,10 +63,16 @@ def verdict(
         )
     (first, losses), *rest = better.items()
     then = "".join(f"; then {name}, {_listed(each)}" for name, each in rest)
-    if any(loss.sure and loss.mean > 0 for loss in losses):
-        how = f", {advice[first]}" if first in advice else ""
-        todo = f"take the first{how}" if rest else f"take it{how}"
-    else:
+    known = all(math.isfinite(loss.low) for loss in losses)
+    if known and not any(loss.sure and loss.mean > 0 for loss in losses):
+        return (
+            f"On {where} no filter is surely better than this one, {own}: {first} errs "
+            f"{_listed(losses)}{then}{_intervals(losses)}, so judge on more data "
+            "(`posegsa evaluate`) before you change."
+        )
+    how = f", {advice[first]}" if first in advice else ""
+    todo = f"take the first{how}" if rest else f"take it{how}"
+    if not known:
         todo = "that may be chance, so judge on more data (`posegsa evaluate`) before you change"
     return (
         f"Best on {where}: {first}, which errs {_listed(losses)} than this filter, {own}{then}"

@@ -57,7 +57,11 @@ def all_scenarios(experiment: config.Experiment, filter: Filter | None = None) -
 
 
 def scenario_batch(
-    experiment: config.Experiment, keys: Array, filter: Filter | None = None
+    experiment: config.Experiment,
+    keys: Array,
+    filter: Filter | None = None,
+    *,
+    quiet: bool = False,
 ) -> ScenarioBatch:
     """S scenarios of an experiment's family, one for each key of keys (S,), ready to simulate.
 
@@ -68,7 +72,8 @@ def scenario_batch(
         ArgumentError: There are no keys, or they belong to another generator.
 
     Warns:
-        PosegsaWarning: The start waits for a pose that no sample of a scenario fixes.
+        PosegsaWarning: The start waits for a pose that no sample of a scenario fixes; not if
+            `quiet`.
     """
     dtype = jnp.dtype(experiment.run.dtype)
     filter, drawn_from = filter or filter_of(experiment), family(experiment, dtype)
@@ -90,7 +95,9 @@ def scenario_batch(
         drawn["end"] = None
     if start == "given":
         drawn["begin"] = None
-    elif never := int(np.sum(drawn["begin"] > (samples - 0.5) * experiment.scenario.sampling_time)):
+    elif not quiet and (
+        never := int(np.sum(drawn["begin"] > (samples - 0.5) * experiment.scenario.sampling_time))
+    ):
         warnings.warn(
             f"scenario.start = {start!r}: in {never} of {count} scenarios no sample fixes a pose; "
             "nothing is estimated there and nothing counts",

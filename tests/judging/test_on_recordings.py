@@ -51,7 +51,7 @@ def test_one_that_is_better_for_sure_is_to_be_taken_and_how() -> None:
     assert words.endswith("take it, `posegsa tune kalman`.")
     words = sentence("these", "1 deg", {"EKF": [chance]}, {}, advice)
     assert "(-0.2 to 1.2, includes 0)" in words
-    assert "may be chance" in words
+    assert words.startswith("On these no filter is surely better than this one, 1 deg: EKF errs")
     assert "take it" not in words
 
 
