@@ -181,8 +181,9 @@ class Experiment(Section):
     def default_also(self) -> tuple[AlsoTuned, ...]:
         """The numbers tuned by default, without parameters.also, for this kind of filter."""
         also = FILTERS[self.filter.kind].also
-        observer = isinstance(self.filter, ObserverConfig)
-        return (*also, *BELIEF_ALSO) if observer and self.filter.roles else also
+        if isinstance(self.filter, ObserverConfig) and self.filter.roles:
+            return (*also, *BELIEF_ALSO)
+        return also
 
     def _places(self) -> Places:
         """The numbers that a search may tune and that have an effect, by key."""

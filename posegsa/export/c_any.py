@@ -279,8 +279,9 @@ def _with_written_schedules(filter: KalmanFilter | Observer) -> KalmanFilter | O
     """The filter with schedules whose numbers are literals in the code."""
     schedules = filter.schedule
     assert isinstance(schedules, NoiseGains | ObserverGains)
-    roles = (None if schedule is None else _WrittenSchedule(schedule) for schedule in schedules)
-    return replace(filter, schedule=type(schedules)(*roles))
+    roles = {role: one for role, one in schedules._asdict().items() if one is not None}
+    written = {role: _WrittenSchedule(one) for role, one in roles.items()}
+    return replace(filter, schedule=schedules._replace(**written))
 
 
 @jax.tree_util.register_static

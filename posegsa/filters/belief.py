@@ -82,11 +82,11 @@ def residuals(
 
     def spread(each: Sequence[Row]) -> Array | float:
         """tr(H Sigma H^T) of rows over the states of the pose."""
-        if covariance is None:
+        if (known := covariance) is None:
             return 0.0
 
         def column(h: Row, j: int) -> Array:
-            return product(h, lambda i: entry(covariance, i, j))
+            return product(h, lambda i: entry(known, i, j))
 
         return reduce(operator.add, (product(h, partial(column, h)) for h in each))
 
@@ -198,10 +198,9 @@ def belief_factors(
 def as_believed(sample: Sample, factors: Factors) -> Sample:
     """The sample with the weight of each sensor divided by the factor on its variance."""
     weights = [
-        [
-            sensor.factor / factor if by is not None else sensor.factor
-            for sensor, factor in zip(sensors, by or sensors, strict=True)
-        ]
+        [sensor.factor for sensor in sensors]
+        if by is None
+        else [sensor.factor / factor for sensor, factor in zip(sensors, by, strict=True)]
         for sensors, by in zip((each_vector(sample), sample.landmarks), factors, strict=True)
     ]
     return weighted(sample, *weights)

@@ -233,7 +233,7 @@ def configured_filter(experiment: Experiment) -> Description:
     section, values = experiment.filter, list(experiment.tuned.numbers)
     kinds: Mapping[str, str] = getattr(section, "roles", {})
     if isinstance(section, config.ObserverConfig):
-        kinds = {"": section.schedule} | kinds
+        kinds = {"": section.schedule, **kinds}
     if kinds and (not values or experiment.fuzzy.rules == SEARCHED):
         refuse(
             f"tuned.numbers: none of a {title_of(kind_of(experiment))}, or rules that are searched",

@@ -108,7 +108,7 @@ def role_controllers(experiment: config.Experiment) -> config.Experiment:
     """
     if not isinstance(experiment.filter, config.ObserverConfig):
         return experiment
-    paper = {"rules": config.PAPER_RULES, "offset": 1.0}
+    paper = {"rules": config.FuzzyConfig().rules, "offset": 1.0}
     return experiment.model_copy(
         update={
             "fuzzy": experiment.fuzzy.model_copy(update=paper),

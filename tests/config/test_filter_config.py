@@ -82,7 +82,7 @@ def test_a_users_own_filter_has_its_numbers_by_name() -> None:
         ({"kind": "kalman", "vectr": 1.0}, ["filter.vectr", "did you mean filter.vector"]),
         ({"kind": "kalman", "gamma": 1.0}, ["filter.gamma", "unknown key"]),
         ({"kind": "kalman", "vector": 0.0}, ["filter.vector = 0.0", "1e-09"]),
-        ({"kind": "observer", "vector": 0.1}, ["filter.vector", "unknown key"]),
+        ({"kind": "observer", "velocity": 0.1}, ["filter.velocity", "unknown key"]),
         ({"schedule": "switch"}, ['filter.schedule = "switch"', "fuzzy", "constant", "smooth"]),
         ({"kind": "own", "stiffness": "high"}, ['filter.stiffness = "high"', "number"]),
         ({"kind": "own", "leak": float("nan")}, ["filter.leak = nan", "finite"]),

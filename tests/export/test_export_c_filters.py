@@ -36,10 +36,11 @@ from posegsa.filters.base import Filter, Record, Sensors
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.leads import Leads
 from posegsa.filters.noise_schedules import NoiseGains, NoiseSignal, NoiseSignals
+from posegsa.filters.observer import BeliefSettings, ObserverGains
 from posegsa.filters.rollout import Estimates, run_filter
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import prepare
-from posegsa.model.schedules import KnotGain
+from posegsa.model.schedules import KnotGain, RampGain
 from posegsa.model.vectors import VectorSettings
 
 VECTORS = np.array([[0.6, -0.5, 0.62], [0.0, 0.1, 1.0]])
@@ -98,6 +99,20 @@ def own() -> Filter:
         return kind(*(jnp.asarray(gain) for gain in (1.0, 4.0, 0.2)))
 
 
+def believing() -> Filter:
+    """The observer as shipped, with belief in each sensor."""
+    with jax.enable_x64(True):
+        line = RampGain(jnp.asarray(0.1), jnp.asarray(2.0))
+        shipped = posegsa.configured("observer").filter_for(vectors=2, landmarks=2)
+        shipped = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, np.float64)), shipped)
+        signal = NoiseSignal(*map(jnp.asarray, (0.1, 1e6, 0.1, 1e6)))
+        return replace(
+            shipped,
+            schedule=ObserverGains(shipped.schedule, line, line),
+            belief=BeliefSettings(signal, jnp.asarray(0.1), jnp.asarray(0.1)),
+        )
+
+
 @cache
 def case_of(name: str) -> Case:
     made = {
@@ -105,14 +120,18 @@ def case_of(name: str) -> Case:
         "12 states": lambda: Case(kalman(False), VECTORS, LANDMARKS[:1]),
         "18 states": lambda: Case(kalman(True), VECTORS, LANDMARKS),
         "led by the clock": lambda: Case(led(), VECTORS, LANDMARKS[:2]),
+        "believing": lambda: Case(believing(), VECTORS, LANDMARKS[:2]),
         "recommended": lambda: Case(scheduled("recommended", 1), VECTORS, LANDMARKS[:1]),
         "disturbed": lambda: Case(scheduled("disturbed", 3), VECTORS, LANDMARKS[:3]),
     }
     return made[name]()
 
 
-CASES = ("own", "12 states", "18 states", "led by the clock", "recommended", "disturbed")
-SCHEDULED = ("recommended", "disturbed", "led by the clock")
+CASES = (
+    *("own", "12 states", "18 states", "led by the clock", "believing"),
+    *("recommended", "disturbed"),
+)
+SCHEDULED = ("believing", "recommended", "disturbed", "led by the clock")
 """In float their gains, and so their estimates, differ by more."""
 
 

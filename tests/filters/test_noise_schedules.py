@@ -18,13 +18,14 @@ from hypothesis import strategies as st
 
 import posegsa
 from posegsa.filters.base import Samples, Sensors, samples_of
+from posegsa.filters.belief import residuals
 from posegsa.filters.kalman import (
     KalmanFilter,
     KalmanNoise,
     KalmanState,
     forgotten,
 )
-from posegsa.filters.measurement_model import measured_error, residuals, weighted
+from posegsa.filters.measurement_model import measured_error, weighted
 from posegsa.filters.noise_schedules import (
     NoiseGains,
     NoiseSignal,

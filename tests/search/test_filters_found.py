@@ -12,7 +12,7 @@ from helpers.own_filter import Complementary
 from posegsa import config
 from posegsa.errors import ArgumentError, PosegsaWarning
 from posegsa.filters.kalman import KalmanFilter
-from posegsa.filters.observer import Observer
+from posegsa.filters.observer import Observer, ObserverGains
 from posegsa.filters.rollout import simulate_cost
 from posegsa.judging.description import describe, described_filter
 from posegsa.model.schedules import ConstantGain, SmoothGain
@@ -30,6 +30,7 @@ FEW = [
 CASES: dict[str, tuple[list[str], Any]] = {
     "constant": (["filter.schedule=constant"], None),
     "smooth": (["filter.schedule=smooth"], None),
+    "believing": (["filter.schedule=constant", "filter.belief=smooth"], None),
     "kalman": (["filter.kind=kalman", "filter.vector_bias=off"], None),
     "own": (
         [
@@ -65,7 +66,9 @@ def numbers_searched(problem: TuningProblem) -> int:
     """How many numbers the filter has that are searched."""
     schedules = {"constant": 1, "smooth": 3}
     schedule = getattr(problem.experiment.filter, "schedule", None)
-    return schedules.get(str(schedule), 0) + len(problem.experiment.also)
+    believing = getattr(problem.experiment.filter, "belief", "off") != "off"
+    of_belief = 2 * 3 if believing else 0  # three numbers for vectors, three for landmarks
+    return schedules.get(str(schedule), 0) + of_belief + len(problem.experiment.also)
 
 
 def test_a_search_finds_the_best_that_it_saw_and_the_same_again(searched: Searched) -> None:
@@ -102,7 +105,9 @@ def test_the_filter_of_what_was_found_has_its_cost(searched: Searched) -> None:
     assert type(filter) is kinds.get(stored.kind, Observer)
     if isinstance(filter, Observer):
         schedules = {"constant": ConstantGain, "smooth": SmoothGain}
-        assert type(filter.schedule) is schedules[stored.kind]
+        gains = filter.schedule
+        gain = gains.gain if isinstance(gains, ObserverGains) else gains
+        assert type(gain) is schedules[stored.kind]
     cost, batch = jax.jit(simulate_cost), problem.training
     assert batch.end is None, "all scenarios count to their end"
     costs = []
