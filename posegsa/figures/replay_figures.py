@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 MAX_POINTS = 4000
 """Maximum number of points in a curve; with more samples the maximum of each bin is drawn."""
+GAP = 10.0
+"""Curves are broken where no sample came for this many times the usual time step."""
 
 REPLAY_FIGURES = ("attitude_errors", "attitude", "biases", "position", "gain")
 """Names of the figures of a replay."""
@@ -66,9 +69,9 @@ def plot_attitude(replay: Replay) -> Figure:
     """True and estimated roll, pitch and yaw [deg] over time [s]."""
     recording, every = replay.recording, _every(replay)
     truth = recording.truth
-    true = None if truth is None else roll_pitch_yaw(truth.rotation[every])
-    estimated = roll_pitch_yaw(np.asarray(replay.estimates.rotation)[every])
-    return angles(recording.time[every], true, estimated)
+    time, rotation = recording.time[every], np.asarray(replay.estimates.rotation)[every]
+    true = None if truth is None else _broken(time, roll_pitch_yaw(truth.rotation[every]))
+    return angles(_twice(time), true, _broken(time, roll_pitch_yaw(rotation)))
 
 
 @styled
@@ -89,10 +92,12 @@ def plot_biases(replay: Replay) -> Figure | None:
         shown["Standard\ndeviation [deg]"] = sigmas, ("heading", "inclination")
     if not shown:
         return None
+    time = recording.time[every]
     figure, axes = style.panels(len(shown), 1.2 + 1.6 * len(shown))
     for ax, (label, (values, names)) in zip(axes, shown.items(), strict=True):
         for column, name, look in zip(values.T, names, style.CURVES, strict=False):
-            ax.plot(recording.time[every], finite(column), label=name, **look, linewidth=1.2)
+            there = _broken(time, finite(column))
+            ax.plot(_twice(time), there, label=name, **look, linewidth=1.2)
         ax.set_ylabel(label)
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.95), ncols=len(names))
         if values is sigmas:
@@ -108,9 +113,10 @@ def plot_position(replay: Replay) -> Figure | None:
     if recording.attitude_only:
         return None
     every = _every(replay)
+    time, position = recording.time[every], np.asarray(estimates.position)[every]
     truth = None if recording.truth is None else recording.truth.position
-    true = None if truth is None else truth[every]
-    return positions(recording.time[every], true, np.asarray(estimates.position)[every])
+    true = None if truth is None else _broken(time, truth[every])
+    return positions(_twice(time), true, _broken(time, position))
 
 
 @styled
@@ -154,11 +160,27 @@ def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
     return positive[positive >= least]
 
 
+def _gaps(time: np.ndarray) -> np.ndarray:
+    """The samples that come after a gap."""
+    steps = np.diff(time)
+    return np.flatnonzero(steps > GAP * np.median(steps)) + 1
+
+
+def _twice(time: np.ndarray) -> np.ndarray:
+    """Times with another one at the end of each gap, where `_broken` has no value."""
+    return np.insert(time, _gaps(time), time[_gaps(time)])
+
+
+def _broken(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (N, ...) of a curve over time (N,), with NaN at the end of each gap."""
+    return np.insert(values, _gaps(time), np.nan, axis=0)
+
+
 def _largest(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A curve as the maxima of at most MAX_POINTS bins; NaN for bins without values."""
-    size = max(1, -(-len(values) // MAX_POINTS))
-    short = -len(values) % size
-    bins = np.pad(values, (0, short), constant_values=np.nan).reshape(-1, size)
-    known = np.isfinite(bins).any(axis=1)
-    largest = np.max(np.where(np.isfinite(bins), bins, -np.inf), axis=1)
-    return time[::size], np.where(known, largest, np.nan)
+    """A curve as the maxima of about MAX_POINTS bins; NaN for bins without values, and in gaps."""
+    size, gaps = max(1, -(-len(values) // MAX_POINTS)), _gaps(time)
+    first = np.concatenate([np.arange(a, b, size) for a, b in pairwise((0, *gaps, len(time)))])
+    largest = np.maximum.reduceat(np.where(np.isfinite(values), values, -np.inf), first)
+    after = np.searchsorted(first, gaps)
+    there = np.where(np.isfinite(largest), largest, np.nan)
+    return np.insert(time[first], after, time[gaps]), np.insert(there, after, np.nan)

@@ -31,6 +31,7 @@ from posegsa.filters.noise_schedules import (
     initial_noise_memory,
     noise_factor,
 )
+from posegsa.model.elementwise import choose, minimum
 from posegsa.model.estimate import FilterState
 from posegsa.model.sample import LandmarkSample, Sample
 from posegsa.model.schedules import GainSchedule, PreparedSchedule
@@ -193,6 +194,28 @@ def belief_factors(
         factors.append(of_sensors)
         memories.append(after)
     return Factors(*factors), BeliefMemory(*memories)
+
+
+def over_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
+    """The factors over the least of those of the measured sensors, so that one is fully believed.
+
+    Without a covariance all sensors disagree with an estimate that is lost. Believed in full, the
+    one that disagrees least brings it back.
+
+    Args:
+        factors: up to `largest`.
+        sample: whose sensors with a weight above 0 are measured.
+        largest: any number that no factor exceeds.
+    """
+    least = largest
+    for sensors, of_kind in zip((each_vector(sample), sample.landmarks), factors, strict=True):
+        for sensor, factor in zip(sensors, of_kind or (1.0,) * len(sensors), strict=True):
+            least = minimum(least, choose(sensor.factor > 0, factor, largest))
+    vectors, landmarks = (
+        None if of_kind is None else tuple(factor / least for factor in of_kind)
+        for of_kind in factors
+    )
+    return Factors(vectors, landmarks)
 
 
 def as_believed(sample: Sample, factors: Factors) -> Sample:

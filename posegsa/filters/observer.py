@@ -96,6 +96,7 @@ from posegsa.filters.belief import (
     as_believed,
     belief_factors,
     initial_beliefs,
+    over_the_least,
     residuals,
 )
 from posegsa.filters.noise_schedules import NoiseSignal
@@ -544,6 +545,8 @@ class ReadyObserver(NamedTuple):
                 *(self.beliefs, self.belief.signal, beliefs, each),
                 *(now.time, now.sample.time_step),
             )
+            largest = jnp.broadcast_to(self.belief.signal.largest, now.sample.time_step.shape)
+            factors = over_the_least(factors, now.sample, largest)
             now = now._replace(sample=as_believed(now.sample, factors))
             believed = factors.vectors or ()
         seen = see(state.estimate, now.sample, self.settings)

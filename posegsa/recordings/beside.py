@@ -19,7 +19,7 @@ import numpy as np
 from posegsa.config.reading import read_toml
 from posegsa.errors import ConfigError, RecordingError
 from posegsa.recordings.table import COLUMNS
-from posegsa.words import counted
+from posegsa.words import counted, meant
 
 TABLE_KEYS = "columns", "time_unit", "delimiter"
 """Keys for reading a CSV file."""
@@ -69,6 +69,8 @@ def read_beside(path: Path, keys: tuple[str, ...] = TABLE_KEYS) -> dict[str, Any
     for key in ("topics", "between"):
         if key in found and not isinstance(found[key], dict):
             raise RecordingError(f"{beside}: {key} = {found[key]!r}; allowed: a table, [{key}]")
+    if isinstance(found.get("frame"), str):
+        found["frame"] = found["frame"].upper()
     if "truth" in found:
         found["truth"] = beside.parent / found["truth"]
     if "columns" in found:
@@ -104,7 +106,8 @@ def _check_columns(columns: object, beside: Path) -> None:
     for argument, names in columns.items():
         where = f"{beside}: columns.{argument}"
         if argument not in COLUMN_ARGUMENTS:
-            raise RecordingError(f"{where}; allowed: {', '.join(COLUMN_ARGUMENTS)}")
+            similar = meant(argument, COLUMN_ARGUMENTS)
+            raise RecordingError(f"{where}; allowed: {', '.join(COLUMN_ARGUMENTS)}{similar}")
         if not _are_names(names):
             raise RecordingError(f"{where} = {names!r}; allowed: names of columns")
     if missing := {"time", "angular_velocity"} - columns.keys():

@@ -70,8 +70,8 @@ def read_csv(
     if columns is None:
         columns = _default_columns(path, head)
         time_unit = "ns" if columns["time"] == "time_ns" else time_unit
-        if unread := _unread(head, columns):
-            found["notes"] = (f"columns that are not used: {unread}",)
+    if unread := _unread(head, columns):
+        found["notes"] = (f"columns that are not used: {unread}",)
     table = _Table(path, head, cells, delimiter)
     for argument, names in columns.items():
         if argument == "time":

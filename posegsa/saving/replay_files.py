@@ -1,5 +1,6 @@
 """The files of replays: a table, and trajectories and figures of each recording."""
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -116,7 +117,7 @@ def _seconds(recording: Recording) -> np.ndarray:
 
 
 def _summary(replay: Replay) -> dict[str, Any]:
-    recording = replay.recording
+    recording, gain = replay.recording, float(np.median(replay.estimates.gain_used))
     return {
         "name": recording.name,
         "samples": recording.samples,
@@ -124,7 +125,7 @@ def _summary(replay: Replay) -> dict[str, Any]:
         "attitude_only": recording.attitude_only,
         "sources": recording.sources,
         "notes": list(recording.notes),
-        "median_gain_1_s": float(np.median(replay.estimates.gain_used)),
+        "median_gain_1_s": None if math.isnan(gain) else gain,  # a filter without one
         "rmse": None
         if replay.errors is None
         else {phase: each._asdict() for phase, each in replay.errors.rmse().items()},
