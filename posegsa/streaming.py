@@ -22,11 +22,14 @@ from posegsa.model import limits
 from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import are_collinear, why_attitude_unobservable, why_unobservable
+from posegsa.recordings.bridging import SLOWEST
 from posegsa.recordings.imu import references as imu_references
 
 FORMAT = 4
 """Version of the checkpoint's layout."""
 
+SLOW_STEPS = 10
+"""A stream that begins with this many time steps longer than any sensor's rate is warned of."""
 _STILL = np.zeros(3)
 
 
@@ -216,6 +219,15 @@ class PoseFilter:
         ages[2:][factors > 0] = 0
         self._ages, self._velocities = ages, (omega, v)
         self._time, self._time_step = self._time + dt, dt
+        if self._slow_steps is not None:
+            self._slow_steps = self._slow_steps + 1 if dt > SLOWEST else None
+            if self._slow_steps == SLOW_STEPS:
+                warnings.warn(
+                    f"time_step: the first {SLOW_STEPS} are longer than {SLOWEST:g} s, the last "
+                    f"{dt:g} s; it is in seconds: 0.01 at 100 Hz",
+                    PosegsaWarning,
+                    stacklevel=2,
+                )
         return self.pose
 
     def __repr__(self) -> str:
@@ -421,6 +433,8 @@ class PoseFilter:
         """Time since both velocities, each vector and each landmark were last measured [s]."""
         self._velocities = np.zeros(3), np.zeros(3)
         """The last measured velocities."""
+        self._slow_steps: int | None = 0
+        """How many time steps were too long; None from the first one that was not."""
 
     def _held(
         self, name: str, value: ArrayLike | None, which: int, ages: np.ndarray, limit: limits.Limit

@@ -352,3 +352,18 @@ def test_a_recording_is_checked_in_its_own_frame() -> None:
         assert not noted
         warn_of_mistakes([one])
     assert any("--frame NED" in str(each.message) for each in noted)
+
+
+def test_curves_are_broken_where_no_sample_came(result: Result, recording: Recording) -> None:
+    (found,) = posegsa.replay(result, recording)
+    late = recording.time + np.where(np.arange(200) < 120, 0.0, 5.0)
+    assert found.errors is not None
+    shown = found._replace(
+        recording=replace(recording, time=late), errors=found.errors._replace(time=late)
+    )
+    drawn = draw_replay(shown)
+    for name in ("attitude_errors", "attitude", "position"):
+        for ax in drawn[name].axes:
+            for line in ax.lines:
+                time, values = (np.asarray(a, float) for a in line.get_data())
+                assert np.isnan(values[np.searchsorted(time, late[120])]), name

@@ -591,3 +591,18 @@ def test_after_a_pause_an_attitude_stream_states_that_it_knows_nothing() -> None
     assert unknown.heading_deviation == pytest.approx(1.0)
     assert unknown.inclination_deviation == pytest.approx(0.35 * np.sqrt(2))
     assert unknown.velocity == (0, 0)
+
+
+def test_time_steps_in_milliseconds_are_warned_of_once(result):
+    _, samples, _ = stream(result)
+    pose_filter = posegsa.PoseFilter(result, **START)
+    first = {key: a[0] for key, a in samples.items()}
+    for _ in range(9):
+        pose_filter.update(time_step=5.0, **first)
+    with pytest.warns(PosegsaWarning, match="the first 10 are longer than 1 s, the last 5 s"):
+        pose_filter.update(time_step=5.0, **first)
+    pose_filter.update(time_step=5.0, **first)
+    pose_filter.reset()
+    pose_filter.update(time_step=0.01, **first)
+    for _ in range(12):  # pauses later are none of the beginning's
+        pose_filter.update(time_step=5.0, **first)
