@@ -32,7 +32,7 @@ def main(iterations=100):
         "random search": posegsa.RandomSearch(agents=50, iterations=iterations),
     }
     found = {}
-    _, axes = plt.subplots()
+    _, axes = plt.subplots(layout="constrained")
     for name, optimiser in optimisers.items():
         search = posegsa.minimise(cost, box, optimiser, jax.random.key(0))
         found[name] = search

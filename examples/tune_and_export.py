@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import posegsa
 
 
-def main(experiment="quick", folder="tuned", scenarios=0):
+def main(experiment="quick", folder="tuned_example", scenarios=0):
     # Searches, and judges the best on scenarios that the search did not use.
     result = posegsa.tune(experiment, seed=1)
     print(result.summary())

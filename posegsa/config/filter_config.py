@@ -104,8 +104,9 @@ class ObserverConfig(Section):
     """Time constant of the low-pass filter of that angular velocity [s]."""
 
     belief: NoiseScheduleKind = "off"
-    """The schedule that divides the weight of each vector and each landmark; its input is that
-    sensor's normalised squared residual. There is one for the vectors and one for the landmarks;
+    """The schedule that divides the weight of each vector and each landmark, compared with the one
+    of its kind that agrees best; its input is that sensor's normalised squared residual. There is
+    one for the vectors and one for the landmarks;
     "fuzzy" has the paper's boxes and table, whatever those of the gain are."""
     vector: Annotated[Positive, _OF_BELIEF] = 0.1
     """Noise of each component of a vector, in its unit: it normalises the residuals of belief."""
@@ -117,8 +118,9 @@ class ObserverConfig(Section):
     """The input before scaling at which the schedule's input is 1, no unit; it is logarithmic."""
     belief_rate_scale: Annotated[NonNegative, _OF_BELIEF] = 0.1
     """Factor on the change of the schedule's input [s]."""
-    belief_largest: Annotated[AboveOne, _OF_BELIEF] = 1e6
-    """Largest divisor of a weight, no unit; the divisor is logarithmic in the output."""
+    belief_largest: Annotated[AboveOne, _OF_BELIEF] = 100.0
+    """Largest divisor of a weight, no unit; the divisor is logarithmic in the output. With 1e6 an
+    estimate that is lost stays lost for long."""
 
     @property
     def roles(self) -> dict[str, NoiseScheduleKind]:

@@ -46,7 +46,7 @@ def plot_sweep(sweep: Sweep, key: str) -> Figure:
             aside = 0.0 if numeric else 0.12 * (i - 0.5 * (len(curves) - 1))
             x = np.array([at[text] for text in each], np.float64) + aside
             _draw(ax, x, found, name, i, joined=numeric)
-        ax.set_ylabel(f"{label} cost [-]\nmean, minimum and maximum")
+        ax.set_ylabel(f"{label} cost [-]\nmean, min., max.")
     _scale(axes[-1], key, values, numeric=numeric)
     if list(curves) != [""]:
         style.legend_above(figure, axes[0])

@@ -197,25 +197,23 @@ def belief_factors(
 
 
 def over_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
-    """The factors over the least of those of the measured sensors, so that one is fully believed.
+    """The factors of each kind over its least one: one vector and one landmark are fully believed.
 
-    Without a covariance all sensors disagree with an estimate that is lost. Believed in full, the
-    one that disagrees least brings it back.
+    Without a covariance all sensors disagree with an estimate that is lost. Those that disagree
+    least bring it back: a vector the attitude, a landmark the position.
 
     Args:
         factors: up to `largest`.
         sample: whose sensors with a weight above 0 are measured.
         largest: any number that no factor exceeds.
     """
-    least = largest
+    found = []
     for sensors, of_kind in zip((each_vector(sample), sample.landmarks), factors, strict=True):
-        for sensor, factor in zip(sensors, of_kind or (1.0,) * len(sensors), strict=True):
+        least = largest
+        for sensor, factor in zip(sensors, of_kind or (), strict=of_kind is not None):
             least = minimum(least, choose(sensor.factor > 0, factor, largest))
-    vectors, landmarks = (
-        None if of_kind is None else tuple(factor / least for factor in of_kind)
-        for of_kind in factors
-    )
-    return Factors(vectors, landmarks)
+        found.append(None if of_kind is None else tuple(factor / least for factor in of_kind))
+    return Factors(*found)
 
 
 def as_believed(sample: Sample, factors: Factors) -> Sample:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posegsa.arguments import check_type
+from posegsa.config import KalmanConfig
 from posegsa.errors import RecordingError
 from posegsa.model.observability import why_attitude_unobservable, why_unobservable
 from posegsa.recordings.accuracy import attitude_errors
@@ -97,6 +98,10 @@ class DataCheck:
             return ""
         numbers = WALKS | _noises(self.recording, self.sensors) | _start(self.recording)
         lines = [f"{key} = {value:.2g}  # {_UNITS[key]}" for key, value in numbers.items()]
+        more = (*(bias for _, _, bias, _ in _SETTINGS if bias), "linear_walk")
+        for key in (key for key in more if key not in numbers):
+            usual = getattr(KalmanConfig(), key)
+            lines.append(f"# {key} = {usual:g}  # assumed, as it did not show: state what you know")
         for key, scales in _scales([self.sensors]).items():
             lines.append(f"{key} = [{', '.join(f'{x:.3g}' for x in scales)}]  # one by one")
         return "\n".join(["[filter]", 'kind = "kalman"', *lines])

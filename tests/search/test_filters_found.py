@@ -30,7 +30,13 @@ FEW = [
 CASES: dict[str, tuple[list[str], Any]] = {
     "constant": (["filter.schedule=constant"], None),
     "smooth": (["filter.schedule=smooth"], None),
-    "believing": (["filter.schedule=constant", "filter.belief=smooth"], None),
+    "believing": (
+        [
+            *("filter.schedule=constant", "filter.belief=smooth"),
+            "scenario.landmarks=[{position=[0.5, 1.4, 1.0]}, {position=[-1.0, 0.5, 0.2]}]",
+        ],
+        None,
+    ),
     "kalman": (["filter.kind=kalman", "filter.vector_bias=off"], None),
     "own": (
         [
