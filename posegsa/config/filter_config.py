@@ -118,9 +118,8 @@ class ObserverConfig(Section):
     """The input before scaling at which the schedule's input is 1, no unit; it is logarithmic."""
     belief_rate_scale: Annotated[NonNegative, _OF_BELIEF] = 0.1
     """Factor on the change of the schedule's input [s]."""
-    belief_largest: Annotated[AboveOne, _OF_BELIEF] = 100.0
-    """Largest divisor of a weight, no unit; the divisor is logarithmic in the output. With 1e6 an
-    estimate that is lost stays lost for long."""
+    belief_largest: Annotated[AboveOne, _OF_BELIEF] = 1e6
+    """Largest divisor of a weight, no unit; the divisor is logarithmic in the output."""
 
     @property
     def roles(self) -> dict[str, NoiseScheduleKind]:
