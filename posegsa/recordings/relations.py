@@ -372,7 +372,7 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
         size = _median_length(_means(seen, length))
     r = r * (size / max(_median_length(r), 1e-12))  # its length has a relation of its own
     found = _median_length(_means(seen - r, length)) / max(size, 1e-12)
-    if (force := _true_force(q, vector)) is None:
+    if (force := true_force(q, vector)) is None:
         return found
     off = force.body - force.pulled - np.einsum("kji,kj->ki", q.rotation, known)
     return min(found, _median_length(off[_finite(off)]) / max(_median_length(known), 1e-12))
@@ -408,7 +408,7 @@ def _north_and_truth(q: Quantities, vector: Vector) -> float | None:
 
 def _axis_and_truth(q: Quantities, vector: Vector, k: int) -> float | None:
     """Misfit of one axis of a vector that points up, as a share of the change of its prediction."""
-    if (force := _true_force(q, vector)) is None:
+    if (force := true_force(q, vector)) is None:
         return None
     assert q.rotation is not None
     known = np.broadcast_to(_given(vector.reference), vector.body.shape)
@@ -431,7 +431,7 @@ class Force(NamedTuple):
     """(K, 3) the contribution of the body's acceleration."""
 
 
-def _true_force(q: Quantities, vector: Vector) -> Force | None:
+def true_force(q: Quantities, vector: Vector) -> Force | None:
     """A vector that points up, with the true acceleration in it; None if that is unknown."""
     if q.rotation is None or q.position is None or not vector.is_up:
         return None

@@ -573,6 +573,40 @@ def test_a_mistake_of_an_accelerometer_shows_below_accelerations_larger_than_gra
     assert words in found
 
 
+def test_a_bias_is_told_only_where_the_motion_shows_it() -> None:
+    def of(sensor: str, recording: Recording) -> float | None:
+        return next(one.bias for one in check(recording).sensors if one.name == sensor)
+
+    given, iron = inertial_motion(rest=2, moving=20, shaking=5), np.array([3.0, -4.0, 0.0])
+    moved = posegsa.imu(**given | {"mag": given["mag"] + iron})
+    assert of("magnetometer", moved) == pytest.approx(5.0, rel=0.02)
+    assert of("accelerometer", moved) is None, "the truth has no position"
+    assert re.search(r"accelerometer .* - +m/s\^2", check(moved).text())
+    assert of("magnetometer", moved.window(0, 2)) is None, "the body rests"
+    flight = driven()
+    names = "time", "angular_velocity", "velocity", "truth_quaternion", "truth_position"
+    acc = 9.81 * flight["vectors"][:, 0] + [0.3, 0.0, -0.4]
+    flown = Recording.from_arrays(
+        **{name: flight[name] for name in names}, sensors={"accelerometer": acc}
+    )
+    assert of("accelerometer", flown) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_noise_that_rounding_hides_is_not_told() -> None:
+    """A field of 50 Hz in rows of 100 Hz, with midpoints between its measurements, or rounded."""
+    given = inertial_motion(rest=2, moving=20, noise=1)
+    slow = given["mag"][::2]
+    between = np.stack([slow[:-1], 0.5 * (slow[:-1] + slow[1:])], axis=1).reshape(-1, 3)
+    between = np.concatenate([between, slow[-1:], slow[-1:]])
+    for mag in (between, 40.0 * np.round(given["mag"] / 40.0)):
+        found = check(posegsa.imu(**given | {"mag": mag}))
+        (field,) = [one for one in found.sensors if one.name == "magnetometer"]
+        assert np.isnan(field.noise)
+        assert re.search(r"magnetometer +100 +0\.01 +- ", found.text())
+    (field,) = [one for one in check(posegsa.imu(**given)).sensors if one.name == "magnetometer"]
+    assert field.noise > 0
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_the_sign_of_an_axis_across_the_thrust_is_detected(axis: int) -> None:
     sign = np.where(np.arange(3) == axis, -1.0, 1.0)
