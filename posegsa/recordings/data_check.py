@@ -17,7 +17,7 @@ from posegsa.recordings.held import held
 from posegsa.recordings.mistakes import mistakes
 from posegsa.recordings.noises import neighbours, noise_of, velocity_noises
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.relations import FEWEST, Quantities, misfits, quantities
+from posegsa.recordings.relations import FEWEST, Quantities, Vector, misfits, quantities, true_force
 from posegsa.words import counted, text_table
 
 
@@ -33,10 +33,12 @@ class SensorCheck(NamedTuple):
     noise: float
     """Standard deviation of each component's noise in a sample, in its unit: of raw signals of an
     inertial sensor, and without a truth, from differences of neighbouring samples; of others as a
-    filter must assume it that takes for white what lasts, too (`recordings.noises`)."""
+    filter must assume it that takes for white what lasts, too (`recordings.noises`). NaN if
+    neighbouring samples do not show it, because they are rounded or interpolated."""
     bias: float | None
     """Length of the mean difference from the truth's prediction, in its unit; None without a
-    truth."""
+    truth. Of a raw signal None too if the motion does not tell it: of an accelerometer without a
+    true position, of a magnetometer that hardly turns."""
     held: float
     """Number of samples that repeat each measurement; 1 if it is not held (`recordings.held`)."""
 
@@ -63,9 +65,9 @@ class DataCheck:
         """The whole check as readable text."""
         rows = [["sensor", "rate [1/s]", "longest gap [s]", "noise by axis", "bias", "unit"]]
         for one in self.sensors:
-            bias = "" if one.bias is None else f"{one.bias:.3g}"
-            numbers = f"{one.rate:.4g}", f"{one.gap:.3g}", f"{one.noise:.3g}", bias
-            rows.append([one.name, *numbers, one.unit])
+            bias = "-" if one.bias is None else f"{one.bias:.3g}"
+            noise = "-" if math.isnan(one.noise) else f"{one.noise:.3g}"
+            rows.append([one.name, f"{one.rate:.4g}", f"{one.gap:.3g}", noise, bias, one.unit])
         parts = [self.recording.describe(), text_table(rows)]
         parts += [
             f"{one.name} is held: measured at {one.rate:.3g} Hz, repeated in between"
@@ -120,6 +122,12 @@ _PREFIXES = {"angular_velocity": "angular_", "velocity": "linear_"}
 """Prefixes of the keys of a velocity's walk and lead."""
 NONE = 1e-6
 """A noise below this is that of a simulation without noise; no filter should assume it."""
+ROUNDED = 1e-6
+"""Noise by differences of neighbouring samples, as a share of what is measured, up to which it is
+rounding."""
+TOLD = 0.1
+"""Least of the information on a field's bias by axis, 1 being that of a field that is known, from
+which on it is estimated."""
 FAR_OFF, LENGTH_OFF = 0.8, 1.6
 """A misfit above which something is mistaken, whatever it is; sensors have up to 0.5. That of a
 length is a logarithm, and one that strong motion makes larger, if nothing tells it."""
@@ -331,6 +339,8 @@ def _sensors(recording: Recording) -> list[SensorCheck]:
         step, holding = float(np.median(steps)) if steps.size else math.nan, held(raw)
         off = _known(differences[name]) if name in differences else np.zeros((0, 3))
         mean = np.mean(off, axis=0) if len(off) else None
+        if name in recording.sensors:
+            mean = _raw_bias(q, next(v for v in q.vectors if v.name == name))
         if name in velocities:
             noise = velocities[name].density / math.sqrt(holding.samples * step)
             mean = velocities[name].bias
@@ -338,6 +348,8 @@ def _sensors(recording: Recording) -> list[SensorCheck]:
             noise = noise_of(off, step) / math.sqrt(holding.samples)
         else:
             noise = neighbours(raw[holding.fresh])
+            rounding = ROUNDED * np.median(np.linalg.norm(raw, axis=1)) if len(raw) else 0.0
+            noise = noise if noise > rounding else math.nan
         found.append(
             SensorCheck(
                 name=name,
@@ -350,6 +362,32 @@ def _sensors(recording: Recording) -> list[SensorCheck]:
             )
         )
     return found
+
+
+def _raw_bias(q: Quantities, vector: Vector) -> np.ndarray | None:
+    """Bias (3,) of an accelerometer or a magnetometer; None if the motion does not tell it.
+
+    An accelerometer's is what the true acceleration leaves. A field b = R^T r + c has the bias c:
+    least squares for it and for r, which is unknown.
+    """
+    if q.rotation is None:
+        return None
+    if vector.reference is not None:
+        if (force := true_force(q, vector)) is None:
+            return None
+        up = np.einsum("kji,j->ki", q.rotation, np.atleast_2d(vector.reference)[0])
+        off = _known(force.body - force.pulled - up)
+        return np.mean(off, axis=0) if len(off) else None
+    there = np.isfinite(q.rotation).all(axis=(1, 2)) & np.isfinite(vector.body).all(axis=1)
+    R, b = q.rotation[there], vector.body[there]
+    if not len(b):
+        return None
+    turned = R.mean(axis=0)
+    information = np.eye(3) - turned.T @ turned
+    if np.linalg.eigvalsh(information)[0] < TOLD:
+        return None
+    left = b.mean(axis=0) - turned.T @ np.einsum("kij,kj->ki", R, b).mean(axis=0)
+    return np.linalg.solve(information, left)
 
 
 def _raw(recording: Recording, name: str) -> np.ndarray:

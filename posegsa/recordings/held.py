@@ -44,5 +44,7 @@ def held(values: np.ndarray) -> Held:
     else:
         together = 1
     usual = np.abs(runs - np.median(runs)) <= 1
+    if np.mean(usual) < REGULAR:
+        return none
     mean = float(np.mean(runs[usual])) / together
-    return Held(mean, new) if np.mean(usual) >= REGULAR and mean >= OFTEN else none
+    return Held(mean, new) if mean >= OFTEN else none

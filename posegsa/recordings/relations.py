@@ -12,7 +12,8 @@ A vector that points up may be gravity alone, or what an accelerometer measures.
 over 2 T, R b - r in the inertial frame, are then (P(t + T) - 2 P(t) + P(t - T)) / T^2 exactly, with
 weights that fall to 0 at both ends, however hard the body is shaken. P is that of the truth, or of
 both velocities. The better of both readings counts. Taken by axis of the body, it also detects
-wrong signs that hardly change the total.
+wrong signs that hardly change the total. Without a P, means over seconds are compared: of a
+specific force only gravity remains in them.
 
 Raw signals of an inertial sensor have the references that their frame gives them: gravity upwards,
 and for a field, whose size and dip are unknown, the horizontal direction north. That relation says
@@ -50,6 +51,9 @@ FEWEST = 20
 """Minimum number of intervals, or measurements, for a relation."""
 AVERAGED = 20
 """Measurements of a vector that are averaged in the inertial frame, where it is constant."""
+CALMED = 500
+"""The same of a vector that points up, if no position tells the body's acceleration. Of a specific
+force gravity remains: its mean over a time T is that and the change of the velocity over T, / T."""
 FINEST = 0.01
 """Smallest misfit: a smaller one counts as equal to it."""
 SHAKEN = 0.2
@@ -212,9 +216,10 @@ def misfits(q: Quantities) -> dict[str, float]:
                 name = f"{vector.name}, {axis}, and truth"
                 relate(name, _axis_and_truth, vector, k, of=(*own, *truth))
         moving = (*own, *velocities)
-        relate(f"{vector.name} and gyroscope", _vector_and_turn, vector, of=moving)
+        if q.velocity is not None or not _is_calmed(q, vector):
+            relate(f"{vector.name} and gyroscope", _vector_and_turn, vector, of=moving)
         if vector.reference is not None:
-            relate(f"length of {vector.name}", _length, vector, of=moving)
+            relate(f"length of {vector.name}", _length, vector, of=(*moving, *truth))
     for j in range(len(q.places)):
         own = q.landmarks[j], q.places[j]
         if q.rotation is not None and q.position is not None:
@@ -361,12 +366,21 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
         return _median_length(seen - np.median(seen, axis=0)) / max(size, 1e-12)
     known = np.broadcast_to(vector.reference, vector.body.shape)
     r = known[there]
+    length = AVERAGED
+    if _is_calmed(q, vector):
+        length = CALMED
+        size = _median_length(_means(seen, length))
     r = r * (size / max(_median_length(r), 1e-12))  # its length has a relation of its own
-    found = _median_length(_averaged(seen - r)) / max(size, 1e-12)
-    if (force := _true_force(q, vector)) is None:
+    found = _median_length(_means(seen - r, length)) / max(size, 1e-12)
+    if (force := true_force(q, vector)) is None:
         return found
     off = force.body - force.pulled - np.einsum("kji,kj->ki", q.rotation, known)
     return min(found, _median_length(off[_finite(off)]) / max(_median_length(known), 1e-12))
+
+
+def _is_calmed(q: Quantities, vector: Vector) -> bool:
+    """Whether gravity shows in a vector by CALMED alone, without the acceleration of the body."""
+    return vector.is_up and q.rotation is not None and q.position is None
 
 
 def north_of(vector: Vector) -> str:
@@ -394,7 +408,7 @@ def _north_and_truth(q: Quantities, vector: Vector) -> float | None:
 
 def _axis_and_truth(q: Quantities, vector: Vector, k: int) -> float | None:
     """Misfit of one axis of a vector that points up, as a share of the change of its prediction."""
-    if (force := _true_force(q, vector)) is None:
+    if (force := true_force(q, vector)) is None:
         return None
     assert q.rotation is not None
     known = np.broadcast_to(_given(vector.reference), vector.body.shape)
@@ -417,7 +431,7 @@ class Force(NamedTuple):
     """(K, 3) the contribution of the body's acceleration."""
 
 
-def _true_force(q: Quantities, vector: Vector) -> Force | None:
+def true_force(q: Quantities, vector: Vector) -> Force | None:
     """A vector that points up, with the true acceleration in it; None if that is unknown."""
     if q.rotation is None or q.position is None or not vector.is_up:
         return None
@@ -470,10 +484,10 @@ def _given(reference: np.ndarray | None) -> np.ndarray:
     return reference
 
 
-def _averaged(off: np.ndarray) -> np.ndarray:
-    """Means of differences (K, 3) over AVERAGED measurements, so that their noise cancels."""
-    first = np.arange(0, len(off), AVERAGED)
-    return np.add.reduceat(off, first, axis=0) / np.diff(np.append(first, len(off)))[:, None]
+def _means(a: np.ndarray, length: int) -> np.ndarray:
+    """Means of an array (K, 3) over `length` measurements each, so that their noise cancels."""
+    first = np.arange(0, len(a), length)
+    return np.add.reduceat(a, first, axis=0) / np.diff(np.append(first, len(a)))[:, None]
 
 
 def _length(q: Quantities, vector: Vector) -> float | None:
@@ -481,6 +495,10 @@ def _length(q: Quantities, vector: Vector) -> float | None:
         return None
     known = max(_median_length(_given(vector.reference)), 1e-12)
     sizes = [_median_length(one.body[_finite(one.body)]) for one in _meanings(q, vector)]
+    if _is_calmed(q, vector):
+        there = _finite(_given(q.rotation), vector.body)
+        seen = np.einsum("kij,kj->ki", _given(q.rotation)[there], vector.body[there])
+        sizes += [_median_length(_means(seen, CALMED))] if there.sum() >= FEWEST else []
     return min(abs(np.log(max(size, 1e-12) / known)) for size in sizes)
 
 

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -546,10 +547,64 @@ def test_a_shaken_accelerometer_without_a_position_has_gravity(shake: float) -> 
     whole = Recording.from_arrays(**alone, sensors={"accelerometer": acc})
     assert check(whole).findings == []
     rest = acc - 9.81 * true_rotations(given)[:, 2]
-    if shake < 20:
-        without = Recording.from_arrays(**alone, sensors={"accelerometer": rest})
-        (words,) = check(without).findings
-        assert "without gravity" in words
+    without = Recording.from_arrays(**alone, sensors={"accelerometer": rest})
+    (words,) = check(without).findings
+    assert "without gravity" in words
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda a: -a, "accelerometer and its reference look opposite"),
+        (lambda a: a / 9.81, "accelerometer looks like multiples of g"),
+        (lambda a: a * [1, -1, 1], "accelerometer: the sign of its y axis looks wrong"),
+        (lambda a: a[:, [1, 0, 2]], "accelerometer: its axes look exchanged"),
+    ],
+)
+def test_a_mistake_of_an_accelerometer_shows_below_accelerations_larger_than_gravity(
+    change: Callable[[np.ndarray], np.ndarray], words: str
+) -> None:
+    """A body that moves fast and to and fro; the truth has no position."""
+    given = inertial_motion(rest=0, moving=60, shaking=15)
+    assert check(posegsa.imu(**given)).findings == []
+    recording = posegsa.imu(**given)
+    changed = recording.sensors | {"accelerometer": change(given["acc"])}
+    (found,) = check(replace(recording, sensors=changed)).findings
+    assert words in found
+
+
+def test_a_bias_is_told_only_where_the_motion_shows_it() -> None:
+    def of(sensor: str, recording: Recording) -> float | None:
+        return next(one.bias for one in check(recording).sensors if one.name == sensor)
+
+    given, iron = inertial_motion(rest=2, moving=20, shaking=5), np.array([3.0, -4.0, 0.0])
+    moved = posegsa.imu(**given | {"mag": given["mag"] + iron})
+    assert of("magnetometer", moved) == pytest.approx(5.0, rel=0.02)
+    assert of("accelerometer", moved) is None, "the truth has no position"
+    assert re.search(r"accelerometer .* - +m/s\^2", check(moved).text())
+    assert of("magnetometer", moved.window(0, 2)) is None, "the body rests"
+    flight = driven()
+    names = "time", "angular_velocity", "velocity", "truth_quaternion", "truth_position"
+    acc = 9.81 * flight["vectors"][:, 0] + [0.3, 0.0, -0.4]
+    flown = Recording.from_arrays(
+        **{name: flight[name] for name in names}, sensors={"accelerometer": acc}
+    )
+    assert of("accelerometer", flown) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_noise_that_rounding_hides_is_not_told() -> None:
+    """A field of 50 Hz in rows of 100 Hz, with midpoints between its measurements, or rounded."""
+    given = inertial_motion(rest=2, moving=20, noise=1)
+    slow = given["mag"][::2]
+    between = np.stack([slow[:-1], 0.5 * (slow[:-1] + slow[1:])], axis=1).reshape(-1, 3)
+    between = np.concatenate([between, slow[-1:], slow[-1:]])
+    for mag in (between, 40.0 * np.round(given["mag"] / 40.0)):
+        found = check(posegsa.imu(**given | {"mag": mag}))
+        (field,) = [one for one in found.sensors if one.name == "magnetometer"]
+        assert np.isnan(field.noise)
+        assert re.search(r"magnetometer +100 +0\.01 +- ", found.text())
+    (field,) = [one for one in check(posegsa.imu(**given)).sensors if one.name == "magnetometer"]
+    assert field.noise > 0
 
 
 @pytest.mark.parametrize("axis", [0, 1])
