@@ -1,16 +1,21 @@
-"""The figures of a replay over time: errors, attitude, biases, position and gain."""
+"""The figures of a replay over time: errors, attitude, biases, position and gain.
+
+Lines are broken where the recording has a gap.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jax.typing import ArrayLike
 
 from posegsa.figures import style
 from posegsa.figures.style import finite, styled
 from posegsa.figures.trajectory_figures import angles, draw_gains, positions
 from posegsa.judging.replayed import Replay, attitude_sigmas, roll_pitch_yaw
+from posegsa.recordings.bridging import gaps_in
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,11 +69,10 @@ def plot_attitude_errors(replay: Replay) -> Figure | None:
 @styled
 def plot_attitude(replay: Replay) -> Figure:
     """True and estimated roll, pitch and yaw [deg] over time [s]."""
-    recording, every = replay.recording, _every(replay)
+    recording, some = replay.recording, _Some(replay.recording.time)
     truth = recording.truth
-    true = None if truth is None else roll_pitch_yaw(truth.rotation[every])
-    estimated = roll_pitch_yaw(np.asarray(replay.estimates.rotation)[every])
-    return angles(recording.time[every], true, estimated)
+    true = None if truth is None else some.of(truth.rotation, roll_pitch_yaw)
+    return angles(some.time, true, some.of(replay.estimates.rotation, roll_pitch_yaw))
 
 
 @styled
@@ -77,22 +81,22 @@ def plot_biases(replay: Replay) -> Figure | None:
 
     None if nothing of this is estimated.
     """
-    recording, every = replay.recording, _every(replay)
-    bias = np.asarray(replay.estimates.bias, np.float64)[every]
+    recording, some = replay.recording, _Some(replay.recording.time)
+    bias = some.of(replay.estimates.bias)
     shown: dict[str, tuple[np.ndarray, Sequence[str]]] = {}
     shown["Gyroscope bias [deg/s]"] = np.degrees(bias[:, :3]), "xyz"
     if not recording.attitude_only:
         shown["Velocity bias [m/s]"] = bias[:, 3:], "xyz"
     shown = {label: each for label, each in shown.items() if np.nan_to_num(each[0]).any()}
     if (sigmas := attitude_sigmas(replay.estimates)) is not None:
-        sigmas = sigmas[every]
+        sigmas = some.of(sigmas)
         shown["Standard\ndeviation [deg]"] = sigmas, ("heading", "inclination")
     if not shown:
         return None
     figure, axes = style.panels(len(shown), 1.2 + 1.6 * len(shown))
     for ax, (label, (values, names)) in zip(axes, shown.items(), strict=True):
         for column, name, look in zip(values.T, names, style.CURVES, strict=False):
-            ax.plot(recording.time[every], finite(column), label=name, **look, linewidth=1.2)
+            ax.plot(some.time, finite(column), label=name, **look, linewidth=1.2)
         ax.set_ylabel(label)
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.95), ncols=len(names))
         if values is sigmas:
@@ -107,10 +111,10 @@ def plot_position(replay: Replay) -> Figure | None:
     recording, estimates = replay.recording, replay.estimates
     if recording.attitude_only:
         return None
-    every = _every(replay)
+    some = _Some(recording.time)
     truth = None if recording.truth is None else recording.truth.position
-    true = None if truth is None else truth[every]
-    return positions(recording.time[every], true, np.asarray(estimates.position)[every])
+    true = None if truth is None else some.of(truth)
+    return positions(some.time, true, some.of(estimates.position))
 
 
 @styled
@@ -136,9 +140,32 @@ def plot_gain(replay: Replay) -> Figure | None:
     return figure
 
 
-def _every(replay: Replay) -> slice:
-    """The samples that are drawn, about MAX_POINTS."""
-    return slice(None, None, max(1, replay.recording.samples // MAX_POINTS))
+class _Some:
+    """The samples that are drawn, about MAX_POINTS, with NaN in each gap."""
+
+    def __init__(self, time: np.ndarray) -> None:
+        step = max(1, len(time) // MAX_POINTS)
+        self._at = _joined([part[::step] for part in _parts(time)], -1)
+        self.time = self.of(time)
+
+    def of(
+        self, values: ArrayLike, change: Callable[[np.ndarray], np.ndarray] = np.asarray
+    ) -> np.ndarray:
+        """A function of the values (K, ...) at these samples."""
+        drawn = np.array(change(np.asarray(values)[self._at]), np.float64)
+        drawn[self._at < 0] = np.nan
+        return drawn
+
+
+def _parts(time: np.ndarray) -> list[np.ndarray]:
+    """The indices of the samples between the gaps of times (K,)."""
+    gaps = gaps_in(time)[0] if len(time) > 1 else np.zeros(0, int)
+    return np.split(np.arange(len(time)), gaps + 1)
+
+
+def _joined(parts: Sequence[np.ndarray], between: float) -> np.ndarray:
+    """Arrays (n,) one after the other, with a number between them."""
+    return np.concatenate([np.append(part, between) for part in parts])[:-1]
 
 
 def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
@@ -155,10 +182,16 @@ def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
 
 
 def _largest(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A curve as the maxima of at most MAX_POINTS bins; NaN for bins without values."""
+    """A curve as the maxima of about MAX_POINTS bins; NaN for bins without values, and in gaps."""
     size = max(1, -(-len(values) // MAX_POINTS))
+    parts = _parts(time)
+    largest = [_largest_of_bins(values[part], size) for part in parts]
+    return _joined([time[part][::size] for part in parts], np.nan), _joined(largest, np.nan)
+
+
+def _largest_of_bins(values: np.ndarray, size: int) -> np.ndarray:
     short = -len(values) % size
     bins = np.pad(values, (0, short), constant_values=np.nan).reshape(-1, size)
     known = np.isfinite(bins).any(axis=1)
     largest = np.max(np.where(np.isfinite(bins), bins, -np.inf), axis=1)
-    return time[::size], np.where(known, largest, np.nan)
+    return np.where(known, largest, np.nan)

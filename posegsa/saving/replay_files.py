@@ -1,5 +1,6 @@
 """The files of replays: a table, and trajectories and figures of each recording."""
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -124,8 +125,16 @@ def _summary(replay: Replay) -> dict[str, Any]:
         "attitude_only": recording.attitude_only,
         "sources": recording.sources,
         "notes": list(recording.notes),
-        "median_gain_1_s": float(np.median(replay.estimates.gain_used)),
+        "median_gain_1_s": _or_null(float(np.median(replay.estimates.gain_used))),
         "rmse": None
         if replay.errors is None
-        else {phase: each._asdict() for phase, each in replay.errors.rmse().items()},
+        else {
+            phase: {name: _or_null(value) for name, value in each._asdict().items()}
+            for phase, each in replay.errors.rmse().items()
+        },
     }
+
+
+def _or_null(number: float | None) -> float | None:
+    """A number, or None for one that there is not: of a filter without a gain, of no samples."""
+    return None if number is None or math.isnan(number) else number
