@@ -190,7 +190,7 @@ def _true_and_estimated(
     """
     figure, axes = style.panels(3, 5.2)
     for i, (ax, label) in enumerate(zip(axes, labels, strict=True)):
-        estimated = _ESTIMATED if pair[0] is not None else _ESTIMATED | {"linestyle": "-"}
+        estimated: Style = _ESTIMATED if pair[0] is not None else _ESTIMATED | {"linestyle": "-"}
         for values, look in zip(pair, (_TRUE, estimated), strict=True):
             if values is not None:
                 ax.plot(*curve(time, finite(values[:, i])), **look)
