@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from posegsa.arguments import check_number, check_type, refuse
 from posegsa.configuring import configured
 from posegsa.errors import MeasurementError, PosegsaWarning
-from posegsa.filters.attitude import AttitudeFilter
+from posegsa.filters.attitude import LEVELLING, LONGEST_PAUSE, AttitudeFilter
 from posegsa.filters.base import Filter, check_filter
 from posegsa.filters.observer import Observer
 from posegsa.filters.online import OnlineLoop, OnlineParameters, OnlineRecord
@@ -23,13 +23,15 @@ from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import are_collinear, why_attitude_unobservable, why_unobservable
 from posegsa.recordings.bridging import SLOWEST
+from posegsa.recordings.frames import GRAVITY
 from posegsa.recordings.imu import references as imu_references
 
 FORMAT = 4
 """Version of the checkpoint's layout."""
 
-SLOW_STEPS = 10
-"""A stream that begins with this many time steps longer than any sensor's rate is warned of."""
+FIRST = 50
+"""Number of the first samples of a stream that show a wrong unit, if all of them do."""
+
 _STILL = np.zeros(3)
 
 
@@ -63,6 +65,9 @@ class PoseFilter:
     missing; a vector of length 0 is missing too. If an angular velocity or velocity is missing, in
     whole or in part, the last measured one is held, for `hold_time` at most. After that the update
     is refused, because the held value is too old. Give zeros for a sensor that you do not have.
+
+    A time step in milliseconds, or an acceleration in multiples of g for the attitude filter, is no
+    error, but a PosegsaWarning once the first samples (FIRST) all look like it.
 
     A refused update changes nothing. The next one may continue from there, with the whole time that
     has passed. Returned arrays are copies. A filter can be pickled; the process that unpickles it
@@ -153,6 +158,8 @@ class PoseFilter:
         self._quaternion_at, self._position_at = map(np.array, (estimate.attitude, estimate.place))
         self._estimate_at = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(estimate)])
         self._start = self._loop.start(start)
+        gravity = float(np.linalg.norm(vectors[0])) if self._inertial and len(vectors) else None
+        self._first = _FirstSamples(gravity)
         self._begin(self._start)
 
     def update(
@@ -219,15 +226,7 @@ class PoseFilter:
         ages[2:][factors > 0] = 0
         self._ages, self._velocities = ages, (omega, v)
         self._time, self._time_step = self._time + dt, dt
-        if self._slow_steps is not None:
-            self._slow_steps = self._slow_steps + 1 if dt > SLOWEST else None
-            if self._slow_steps == SLOW_STEPS:
-                warnings.warn(
-                    f"time_step: the first {SLOW_STEPS} are longer than {SLOWEST:g} s, the last "
-                    f"{dt:g} s; it is in seconds: 0.01 at 100 Hz",
-                    PosegsaWarning,
-                    stacklevel=2,
-                )
+        self._first.see(dt, vectors_seen)
         return self.pose
 
     def __repr__(self) -> str:
@@ -433,8 +432,6 @@ class PoseFilter:
         """Time since both velocities, each vector and each landmark were last measured [s]."""
         self._velocities = np.zeros(3), np.zeros(3)
         """The last measured velocities."""
-        self._slow_steps: int | None = 0
-        """How many time steps were too long; None from the first one that was not."""
 
     def _held(
         self, name: str, value: ArrayLike | None, which: int, ages: np.ndarray, limit: limits.Limit
@@ -453,6 +450,42 @@ class PoseFilter:
             f"{name}: missing {since}; allowed: for hold_time = {self._hold_time:g} s at most, "
             "while the last one is held"
         )
+
+
+class _FirstSamples:
+    """The first samples of a stream, which warn of a wrong unit that all of them show."""
+
+    def __init__(self, gravity: float | None) -> None:
+        self._gravity = gravity
+        """Its length in the accelerometer's unit; None without one."""
+        self._longest = SLOWEST if gravity is None else LONGEST_PAUSE
+        self._steps: list[float] = []
+        self._forces: list[float] = []
+
+    def see(self, time_step: float, vectors: np.ndarray) -> None:
+        """Take a sample's time step [s] and vectors (n, 3), 0 for a missing one."""
+        if len(self._steps) < FIRST:
+            self._steps.append(time_step)
+            if len(self._steps) == FIRST and min(self._steps) > self._longest:
+                pause = "each is a pause, after which the attitude is found anew; "
+                _warn(
+                    f"time_step: all of the first {FIRST} are over {self._longest:.2g} s (median "
+                    f"{np.median(self._steps):.3g} s); {pause if self._gravity else ''}allowed: "
+                    "the time to the next sample in seconds (milliseconds / 1000)"
+                )
+        if self._gravity and len(self._forces) < FIRST and vectors[0].any():
+            self._forces.append(float(np.linalg.norm(vectors[0])))
+            low, high = (share * self._gravity for share in LEVELLING)
+            if len(self._forces) == FIRST and not any(low < one < high for one in self._forces):
+                _warn(
+                    f"acc: all of the first {FIRST} are below {low:.3g} or above {high:.3g} in "
+                    f"length (median {np.median(self._forces):.3g}); allowed: specific force, "
+                    f"{self._gravity:.3g} at rest (m/s^2 are multiples of g times {GRAVITY:g})"
+                )
+
+
+def _warn(words: str) -> None:
+    warnings.warn(words, PosegsaWarning, stacklevel=4)
 
 
 class _Sensors:

@@ -1,17 +1,21 @@
-"""The figures of a replay over time: errors, attitude, biases, position and gain."""
+"""The figures of a replay over time: errors, attitude, biases, position and gain.
+
+Lines are broken where the recording has a gap.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jax.typing import ArrayLike
 
 from posegsa.figures import style
 from posegsa.figures.style import finite, styled
 from posegsa.figures.trajectory_figures import angles, draw_gains, positions
 from posegsa.judging.replayed import Replay, attitude_sigmas, roll_pitch_yaw
+from posegsa.recordings.bridging import gaps_in
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,8 +23,6 @@ if TYPE_CHECKING:
 
 MAX_POINTS = 4000
 """Maximum number of points in a curve; with more samples the maximum of each bin is drawn."""
-GAP = 10.0
-"""Curves are broken where no sample came for this many times the usual time step."""
 
 REPLAY_FIGURES = ("attitude_errors", "attitude", "biases", "position", "gain")
 """Names of the figures of a replay."""
@@ -67,11 +69,10 @@ def plot_attitude_errors(replay: Replay) -> Figure | None:
 @styled
 def plot_attitude(replay: Replay) -> Figure:
     """True and estimated roll, pitch and yaw [deg] over time [s]."""
-    recording, every = replay.recording, _every(replay)
+    recording, some = replay.recording, _Some(replay.recording.time)
     truth = recording.truth
-    time, rotation = recording.time[every], np.asarray(replay.estimates.rotation)[every]
-    true = None if truth is None else _broken(time, roll_pitch_yaw(truth.rotation[every]))
-    return angles(_twice(time), true, _broken(time, roll_pitch_yaw(rotation)))
+    true = None if truth is None else some.of(truth.rotation, roll_pitch_yaw)
+    return angles(some.time, true, some.of(replay.estimates.rotation, roll_pitch_yaw))
 
 
 @styled
@@ -80,24 +81,22 @@ def plot_biases(replay: Replay) -> Figure | None:
 
     None if nothing of this is estimated.
     """
-    recording, every = replay.recording, _every(replay)
-    bias = np.asarray(replay.estimates.bias, np.float64)[every]
+    recording, some = replay.recording, _Some(replay.recording.time)
+    bias = some.of(replay.estimates.bias)
     shown: dict[str, tuple[np.ndarray, Sequence[str]]] = {}
     shown["Gyroscope bias [deg/s]"] = np.degrees(bias[:, :3]), "xyz"
     if not recording.attitude_only:
         shown["Velocity bias [m/s]"] = bias[:, 3:], "xyz"
     shown = {label: each for label, each in shown.items() if np.nan_to_num(each[0]).any()}
     if (sigmas := attitude_sigmas(replay.estimates)) is not None:
-        sigmas = sigmas[every]
+        sigmas = some.of(sigmas)
         shown["Standard\ndeviation [deg]"] = sigmas, ("heading", "inclination")
     if not shown:
         return None
-    time = recording.time[every]
     figure, axes = style.panels(len(shown), 1.2 + 1.6 * len(shown))
     for ax, (label, (values, names)) in zip(axes, shown.items(), strict=True):
         for column, name, look in zip(values.T, names, style.CURVES, strict=False):
-            there = _broken(time, finite(column))
-            ax.plot(_twice(time), there, label=name, **look, linewidth=1.2)
+            ax.plot(some.time, finite(column), label=name, **look, linewidth=1.2)
         ax.set_ylabel(label)
         ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.95), ncols=len(names))
         if values is sigmas:
@@ -112,11 +111,10 @@ def plot_position(replay: Replay) -> Figure | None:
     recording, estimates = replay.recording, replay.estimates
     if recording.attitude_only:
         return None
-    every = _every(replay)
-    time, position = recording.time[every], np.asarray(estimates.position)[every]
+    some = _Some(recording.time)
     truth = None if recording.truth is None else recording.truth.position
-    true = None if truth is None else _broken(time, truth[every])
-    return positions(_twice(time), true, _broken(time, position))
+    true = None if truth is None else some.of(truth)
+    return positions(some.time, true, some.of(estimates.position))
 
 
 @styled
@@ -142,9 +140,32 @@ def plot_gain(replay: Replay) -> Figure | None:
     return figure
 
 
-def _every(replay: Replay) -> slice:
-    """The samples that are drawn, about MAX_POINTS."""
-    return slice(None, None, max(1, replay.recording.samples // MAX_POINTS))
+class _Some:
+    """The samples that are drawn, about MAX_POINTS, with NaN in each gap."""
+
+    def __init__(self, time: np.ndarray) -> None:
+        step = max(1, len(time) // MAX_POINTS)
+        self._at = _joined([part[::step] for part in _parts(time)], -1)
+        self.time = self.of(time)
+
+    def of(
+        self, values: ArrayLike, change: Callable[[np.ndarray], np.ndarray] = np.asarray
+    ) -> np.ndarray:
+        """A function of the values (K, ...) at these samples."""
+        drawn = np.array(change(np.asarray(values)[self._at]), np.float64)
+        drawn[self._at < 0] = np.nan
+        return drawn
+
+
+def _parts(time: np.ndarray) -> list[np.ndarray]:
+    """The indices of the samples between the gaps of times (K,)."""
+    gaps = gaps_in(time)[0] if len(time) > 1 else np.zeros(0, int)
+    return np.split(np.arange(len(time)), gaps + 1)
+
+
+def _joined(parts: Sequence[np.ndarray], between: float) -> np.ndarray:
+    """Arrays (n,) one after the other, with a number between them."""
+    return np.concatenate([np.append(part, between) for part in parts])[:-1]
 
 
 def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
@@ -160,27 +181,17 @@ def _without_zeros(ax: Axes, errors: np.ndarray) -> np.ndarray:
     return positive[positive >= least]
 
 
-def _gaps(time: np.ndarray) -> np.ndarray:
-    """The samples that come after a gap."""
-    steps = np.diff(time)
-    return np.flatnonzero(steps > GAP * np.median(steps)) + 1
-
-
-def _twice(time: np.ndarray) -> np.ndarray:
-    """Times with another one at the end of each gap, where `_broken` has no value."""
-    return np.insert(time, _gaps(time), time[_gaps(time)])
-
-
-def _broken(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values (N, ...) of a curve over time (N,), with NaN at the end of each gap."""
-    return np.insert(values, _gaps(time), np.nan, axis=0)
-
-
 def _largest(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A curve as the maxima of about MAX_POINTS bins; NaN for bins without values, and in gaps."""
-    size, gaps = max(1, -(-len(values) // MAX_POINTS)), _gaps(time)
-    first = np.concatenate([np.arange(a, b, size) for a, b in pairwise((0, *gaps, len(time)))])
-    largest = np.maximum.reduceat(np.where(np.isfinite(values), values, -np.inf), first)
-    after = np.searchsorted(first, gaps)
-    there = np.where(np.isfinite(largest), largest, np.nan)
-    return np.insert(time[first], after, time[gaps]), np.insert(there, after, np.nan)
+    size = max(1, -(-len(values) // MAX_POINTS))
+    parts = _parts(time)
+    largest = [_largest_of_bins(values[part], size) for part in parts]
+    return _joined([time[part][::size] for part in parts], np.nan), _joined(largest, np.nan)
+
+
+def _largest_of_bins(values: np.ndarray, size: int) -> np.ndarray:
+    short = -len(values) % size
+    bins = np.pad(values, (0, short), constant_values=np.nan).reshape(-1, size)
+    known = np.isfinite(bins).any(axis=1)
+    largest = np.max(np.where(np.isfinite(bins), bins, -np.inf), axis=1)
+    return np.where(known, largest, np.nan)

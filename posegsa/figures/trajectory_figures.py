@@ -29,6 +29,8 @@ _ASKED: Style = {"label": "asked for", "color": style.SKY, "linewidth": 3.4}
 _USED: Style = {"label": "used, after the limit", "color": style.BLACK, "linewidth": 0.9}
 SETTLED = 0.2
 """Share of a run after which its errors determine the range of an axis."""
+JUMP = 120.0
+"""Change of an angle from one drawn sample to the next above which it jumps [deg]."""
 _ERROR: Style = {"label": "error", "color": style.BLUE, "linewidth": 0.7}
 _BAND: Style = {"label": "two sigma", "color": style.ORANGE, "alpha": 0.45, "linewidth": 0}
 _ESTIMATED: Style = {"label": "estimated", "color": style.VERMILION, "linestyle": (0, (4, 2))}
@@ -188,7 +190,8 @@ def _true_and_estimated(
     """
     figure, axes = style.panels(3, 5.2)
     for i, (ax, label) in enumerate(zip(axes, labels, strict=True)):
-        for values, look in zip(pair, (_TRUE, _ESTIMATED), strict=True):
+        estimated: Style = _ESTIMATED if pair[0] is not None else _ESTIMATED | {"linestyle": "-"}
+        for values, look in zip(pair, (_TRUE, estimated), strict=True):
             if values is not None:
                 ax.plot(*curve(time, finite(values[:, i])), **look)
         ax.set_ylabel(label)
@@ -202,14 +205,19 @@ def _broken_at_wraps(time: np.ndarray, angle: np.ndarray) -> Curve:
     """A curve of angles [deg] that leaves at +-180 and comes back on the other side.
 
     If neighbours differ by more than 180, the angle has wrapped. Three points are inserted between
-    them, all at the time of the crossing: the end of the range, NaN, and its other end.
+    them, all at the time of the crossing: the end of the range, NaN, and its other end. These are
+    NaN too where neighbours are more than JUMP apart even so, as where roll and yaw change over
+    because the pitch passes 90: no line leads from one to the other.
     """
-    before = np.flatnonzero(np.abs(np.diff(angle)) > 180)
+    step = np.abs(np.diff(angle))
+    wrapped = step > 180
+    jumped = np.where(wrapped, 360 - step, step) > JUMP
+    before = np.flatnonzero(wrapped | jumped)
     after = before + 1
-    end = np.copysign(180.0, angle[before])
+    end = np.where(jumped[before], np.nan, np.copysign(180.0, angle[before]))
     way_out, way_in = np.abs(end - angle[before]), np.abs(angle[after] + end)
     whole = way_out + way_in
-    share = way_out / np.where(whole > 0, whole, 1.0)
+    share = np.where(jumped[before], 0.5, way_out / np.where(whole > 0, whole, 1.0))
     crossing = time[before] + share * (time[after] - time[before])
     points = np.stack([end, np.full_like(end, np.nan), -end], axis=1)
     where = np.repeat(after, 3)

@@ -7,12 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from posegsa.filters.attitude import LONGEST_PAUSE
 from posegsa.filters.rollout import Estimates
 from posegsa.model.se3 import euler_angles
 from posegsa.recordings.accuracy import RecordingErrors, Rmse, recording_errors
 from posegsa.recordings.recording import Recording
-from posegsa.words import text_table
+from posegsa.words import counted, text_table
 
+MOST_TIMES = 3
+"""Maximum number of times in a sentence."""
 FAR = 10.0
 """Multiple of the position error at the start above which the position at the end is lost."""
 
@@ -54,6 +57,27 @@ class Replay(NamedTuple):
         if off > max(reach, FAR * float(errors.position[known[0]])):
             return f"its position is off by {off:.3g} m at the end"
         return ""
+
+    @property
+    def found_anew(self) -> str:
+        """After which pauses the attitude was found anew, in words; "" if after none.
+
+        The attitude filter tells it: its inclination is then as uncertain as at the start.
+        """
+        sigma, time = self.estimates.inclination_deviation, self.recording.time
+        if sigma is None:
+            return ""
+        sigma = np.asarray(sigma)
+        after = np.flatnonzero(np.diff(time) > LONGEST_PAUSE) + 1
+        after = after[sigma[after] > 0.5 * sigma[0]]
+        if not after.size:
+            return ""
+        shown = [f"{time[k]:.4g} s" for k in after[:MOST_TIMES]]
+        more = ", ..." if len(after) > MOST_TIMES else ""
+        return (
+            f"after {counted(len(after), 'pause')} of more than {LONGEST_PAUSE:.2g} s the attitude "
+            f"was found anew (at {', '.join(shown)}{more})"
+        )
 
     def __repr__(self) -> str:
         errors = "no truth"
@@ -137,7 +161,7 @@ def with_heads(heads: list[str], rows: list[list[str]]) -> list[list[str]]:
 
 
 def replay_table(replays: Sequence[Replay]) -> str:
-    """Root mean square errors by recording and phase, as text, and which filters are lost."""
+    """Root mean square errors by recording and phase, as text, and what else is to be known."""
     rows = []
     for each in replays:
         if each.errors is not None:
@@ -147,6 +171,7 @@ def replay_table(replays: Sequence[Replay]) -> str:
         for each in replays
         if each.errors is None
     ]
+    told += [f"{each.recording.name}: {words}" for each in replays if (words := each.found_anew)]
     told += [
         f"  warning: {each.recording.name}: the filter is lost: {words}; `posegsa check` looks for "
         "mistakes in a recording"

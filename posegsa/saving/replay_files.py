@@ -117,7 +117,7 @@ def _seconds(recording: Recording) -> np.ndarray:
 
 
 def _summary(replay: Replay) -> dict[str, Any]:
-    recording, gain = replay.recording, float(np.median(replay.estimates.gain_used))
+    recording = replay.recording
     return {
         "name": recording.name,
         "samples": recording.samples,
@@ -125,8 +125,16 @@ def _summary(replay: Replay) -> dict[str, Any]:
         "attitude_only": recording.attitude_only,
         "sources": recording.sources,
         "notes": list(recording.notes),
-        "median_gain_1_s": None if math.isnan(gain) else gain,  # a filter without one
+        "median_gain_1_s": _or_null(float(np.median(replay.estimates.gain_used))),
         "rmse": None
         if replay.errors is None
-        else {phase: each._asdict() for phase, each in replay.errors.rmse().items()},
+        else {
+            phase: {name: _or_null(value) for name, value in each._asdict().items()}
+            for phase, each in replay.errors.rmse().items()
+        },
     }
+
+
+def _or_null(number: float | None) -> float | None:
+    """A number, or None for one that there is not: of a filter without a gain, of no samples."""
+    return None if number is None or math.isnan(number) else number

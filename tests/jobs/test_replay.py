@@ -17,6 +17,7 @@ import posegsa
 from posegsa.cli.command import main
 from posegsa.cli.options import warn_of_mistakes
 from posegsa.errors import ArgumentError, MeasurementError, RunFolderError
+from posegsa.figures import replay_figures
 from posegsa.figures.replay_figures import draw_replay
 from posegsa.figures.style import png
 from posegsa.judging.replayed import Replay, replay_table, replayed_on
@@ -215,6 +216,54 @@ def test_what_a_file_lacks_is_bridged_by_name(
         assert note in table
 
 
+def paused() -> Recording:
+    """An inertial sensor's recording of 100 Hz, without its samples from 2 s to 4 s."""
+    given = inertial_motion(1.0, 5.0)
+    time = np.arange(len(given["gyr"])) / given.pop("rate")
+    kept = (time < 2) | (time >= 4)
+    names = "gyr", "acc", "mag", "truth_rotation"
+    return posegsa.imu(
+        **{name: given[name][kept] for name in names}, time=time[kept], name="paused"
+    )
+
+
+def test_a_pause_is_told_and_no_line_leads_over_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = paused()
+    monkeypatch.setattr(replay_figures, "MAX_POINTS", 90)  # bins that do not end at the pause
+    (found,) = posegsa.replay("imu", recording, out=tmp_path)
+    table = (tmp_path / "replay.txt").read_text()
+    assert "paused: after 1 pause of more than 0.25 s the attitude was found anew (at 4 s)" in table
+    (whole,) = posegsa.replay("imu", recording.window(4.0))
+    assert "anew" not in replay_table([whole])
+    assert found.errors is not None
+    figures = draw_replay(found)
+    assert {"attitude", "attitude_errors", "biases"} <= figures.keys()
+    for figure in figures.values():
+        for line in (one for ax in figure.axes for one in ax.lines):
+            time, values = (np.asarray(a, float) for a in (line.get_xdata(), line.get_ydata()))
+            last, first = np.flatnonzero(time < 3)[-1], np.flatnonzero(time > 3)[0]
+            assert time[last] > 1.9
+            assert time[first] == 4.0
+            assert np.isnan(values[last + 1 : first]).any()
+    inclination = figures["attitude_errors"].axes[2].lines[0]
+    time, values = (np.asarray(a, float) for a in inclination.get_data())
+    before = found.errors.attitude.inclination[found.errors.time < 2]
+    assert np.nanmax(values[time < 3]) == pytest.approx(np.max(before))
+
+
+def test_the_json_has_null_for_what_there_is_not(tmp_path: Path) -> None:
+    recording = paused()
+    nothing = replace(recording, judged=np.zeros(recording.samples, bool))
+    posegsa.replay("imu", nothing, out=tmp_path, figures=[])
+    text = (tmp_path / "replay.json").read_text()
+    assert "nan" not in text.lower()
+    (data,) = json.loads(text)["recordings"]
+    assert data["median_gain_1_s"] is None
+    assert data["rmse"]["judged"]["total"] is None
+
+
 def test_figures_can_be_read(result: Result, recording: Recording) -> None:
     (found,) = posegsa.replay(result, recording)
     errors = np.geomspace(50, 0.2, 200)
@@ -352,18 +401,3 @@ def test_a_recording_is_checked_in_its_own_frame() -> None:
         assert not noted
         warn_of_mistakes([one])
     assert any("--frame NED" in str(each.message) for each in noted)
-
-
-def test_curves_are_broken_where_no_sample_came(result: Result, recording: Recording) -> None:
-    (found,) = posegsa.replay(result, recording)
-    late = recording.time + np.where(np.arange(200) < 120, 0.0, 5.0)
-    assert found.errors is not None
-    shown = found._replace(
-        recording=replace(recording, time=late), errors=found.errors._replace(time=late)
-    )
-    drawn = draw_replay(shown)
-    for name in ("attitude_errors", "attitude", "position"):
-        for ax in drawn[name].axes:
-            for line in ax.lines:
-                time, values = (np.asarray(a, float) for a in line.get_data())
-                assert np.isnan(values[np.searchsorted(time, late[120])]), name

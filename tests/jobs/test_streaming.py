@@ -16,6 +16,7 @@ from helpers.schedules import K, tuned
 import posegsa
 from posegsa.errors import ArgumentError, MeasurementError, PosegsaWarning
 from posegsa.model.schedules import SwitchGain
+from posegsa.streaming import FIRST
 
 pytestmark = pytest.mark.quick
 
@@ -556,6 +557,42 @@ def test_the_attitude_filter_runs_live_as_it_replays() -> None:
     np.testing.assert_array_equal(live.pose.position, 0.0)
 
 
+def fed_the_same(live: posegsa.PoseFilter, times: int, **sample: Any) -> None:
+    for _ in range(times):
+        live.update(**sample)
+
+
+def test_a_time_step_in_milliseconds_is_said_once(pose_filter) -> None:
+    live = posegsa.PoseFilter("imu")
+    sample = {"gyr": np.zeros(3), "acc": [0, 0, 9.8]}
+    fed_the_same(live, FIRST - 1, time_step=10.0, **sample)
+    with pytest.warns(
+        PosegsaWarning, match="time_step: .*over 0.25 s .median 10 s.*a pause.*seconds"
+    ):
+        live.update(time_step=10.0, **sample)
+    fed_the_same(live, FIRST, time_step=10.0, **sample)
+    # A pause among the first samples is none.
+    live = posegsa.PoseFilter("imu")
+    for k in range(FIRST + 1):
+        live.update(time_step=0.01 if k == 3 else 10.0, **sample)
+    still = {"angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
+    with pytest.warns(PosegsaWarning, match="time_step: .*over 1 s.*in seconds") as said:
+        fed_the_same(pose_filter, FIRST, time_step=10.0, **still)
+    assert len(said) == 1
+
+
+def test_an_acceleration_in_multiples_of_g_is_said_once() -> None:
+    live, sample = posegsa.PoseFilter("imu"), {"time_step": 0.01, "gyr": np.zeros(3)}
+    fed_the_same(live, FIRST - 1, **sample, acc=[0, 0, 0.98])
+    fed_the_same(live, FIRST, **sample)  # a slower accelerometer
+    with pytest.warns(PosegsaWarning, match="acc: .*first 50.*median 0.98.*m/s") as said:
+        fed_the_same(live, 2 * FIRST, **sample, acc=[0, 0, 0.98])
+    assert len(said) == 1
+    live = posegsa.PoseFilter("imu")
+    for k in range(FIRST + 1):  # one that is dropped, or hit, at first
+        live.update(**sample, acc=[0, 0, 9.8 if k > 40 else 0.5])
+
+
 def test_names_of_inertial_sensors_are_only_of_the_attitude_filter(result) -> None:
     live = posegsa.PoseFilter("imu")
     still = {"time_step": 0.01, "gyr": [0, 0, 0], "acc": [0, 0, 9.81]}
@@ -591,18 +628,3 @@ def test_after_a_pause_an_attitude_stream_states_that_it_knows_nothing() -> None
     assert unknown.heading_deviation == pytest.approx(1.0)
     assert unknown.inclination_deviation == pytest.approx(0.35 * np.sqrt(2))
     assert unknown.velocity == (0, 0)
-
-
-def test_time_steps_in_milliseconds_are_warned_of_once(result):
-    _, samples, _ = stream(result)
-    pose_filter = posegsa.PoseFilter(result, **START)
-    first = {key: a[0] for key, a in samples.items()}
-    for _ in range(9):
-        pose_filter.update(time_step=5.0, **first)
-    with pytest.warns(PosegsaWarning, match="the first 10 are longer than 1 s, the last 5 s"):
-        pose_filter.update(time_step=5.0, **first)
-    pose_filter.update(time_step=5.0, **first)
-    pose_filter.reset()
-    pose_filter.update(time_step=0.01, **first)
-    for _ in range(12):  # pauses later are none of the beginning's
-        pose_filter.update(time_step=5.0, **first)

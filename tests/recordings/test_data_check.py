@@ -586,9 +586,8 @@ def test_a_bias_is_told_only_where_the_motion_shows_it() -> None:
     flight = driven()
     names = "time", "angular_velocity", "velocity", "truth_quaternion", "truth_position"
     acc = 9.81 * flight["vectors"][:, 0] + [0.3, 0.0, -0.4]
-    flown = Recording.from_arrays(
-        **{name: flight[name] for name in names}, sensors={"accelerometer": acc}
-    )
+    some: Arguments = {name: flight[name] for name in names}
+    flown = Recording.from_arrays(**some, sensors={"accelerometer": acc})
     assert of("accelerometer", flown) == pytest.approx(0.5, abs=0.02)
 
 
