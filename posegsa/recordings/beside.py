@@ -18,7 +18,7 @@ import numpy as np
 
 from posegsa.config.reading import read_toml
 from posegsa.errors import ConfigError, RecordingError
-from posegsa.recordings.table import COLUMNS
+from posegsa.recordings.table import ALIASES, COLUMNS
 from posegsa.words import counted
 
 TABLE_KEYS = "columns", "time_unit", "delimiter"
@@ -34,7 +34,7 @@ ARGUMENTS = (
 STREAM_KEYS = "truth", "between"
 """Keys of sensors with stamps of their own: a TUM file with the truth, by its path from the folder
 of the TOML file, and what to do between samples."""
-COLUMN_ARGUMENTS = (*COLUMNS, "vectors", "landmarks")
+COLUMN_ARGUMENTS = (*COLUMNS, "vectors", "landmarks", *ALIASES)
 
 
 def path_beside(path: Path) -> Path:
@@ -107,7 +107,8 @@ def _check_columns(columns: object, beside: Path) -> None:
             raise RecordingError(f"{where}; allowed: {', '.join(COLUMN_ARGUMENTS)}")
         if not _are_names(names):
             raise RecordingError(f"{where} = {names!r}; allowed: names of columns")
-    if missing := {"time", "angular_velocity"} - columns.keys():
+    named = {ALIASES.get(argument, argument) for argument in columns}
+    if missing := {"time", "angular_velocity"} - named:
         raise RecordingError(f"{beside}: columns: lacks {', '.join(sorted(missing))}")
 
 
