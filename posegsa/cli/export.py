@@ -39,7 +39,8 @@ def run(options: argparse.Namespace) -> int:
     result = result_of(options, recording)
     if options.frame is not None:
         result = result.in_frame(options.frame)
-    text = export(result, options.format, options.name)
+    path = None if options.out is None else Path(options.out)
+    text = export(result, options.format, options.name, None if path is None else path.name)
     if FORMATS[options.format].references and result.knows_scenario:
         known = result.known_sensors
         say(
@@ -47,10 +48,10 @@ def run(options: argparse.Namespace) -> int:
             f"{counted(len(known.landmarks), 'landmark')} of the configuration's [scenario]; those "
             "of your own sensors: --recording FILE"
         )
-    if options.out is None:
+    if path is None:
         sys.stdout.write(text)
         return 0
-    _write_new(Path(options.out), text, overwrite=options.overwrite)
+    _write_new(path, text, overwrite=options.overwrite)
     print(f"Written: {options.out}")
     if words := result.verdict():
         print(f"\n{words}")

@@ -196,7 +196,7 @@ def add_frame(parser: argparse._ActionsContainer, default: str = "its own, or EN
         "of recordings of an inertial sensor (imu): x, y and z of the inertial frame (default: "
         f"{default})"
     )
-    parser.add_argument("--frame", choices=tuple(UP), type=str.upper, help=words)
+    parser.add_argument("--frame", type=str.upper, choices=tuple(UP), help=words)
 
 
 def as_read_with(

@@ -3,6 +3,7 @@
 Writers are imported when they are used, so that importing the list of formats is fast.
 """
 
+import re
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -62,13 +63,15 @@ FORMATS = {
 """The formats of `export`, by name."""
 
 
-def export(result: "Result", format: str, name: str | None = None) -> str:
+def export(result: "Result", format: str, name: str | None = None, file: str | None = None) -> str:
     """The text of a tuned filter or of its schedule in one of `FORMATS`.
 
     Args:
         result: The tuned result, on scenarios or on recordings.
         format: A name in `FORMATS`.
         name: Prefix of the names in a C file; default "posegsa".
+        file: Name of the file that the text is written to, for the comment and the example in a C
+            header; default NAME.h.
 
     Raises:
         PosegsaError: The format is unknown, takes no name, or needs a fuzzy gain that the result
@@ -86,4 +89,9 @@ def export(result: "Result", format: str, name: str | None = None) -> str:
             "fuzzy gain"
         )
     write = resolve_name(FORMATS[format].writer)
-    return write(result) if name is None else write(result, name=name)
+    text = write(result) if name is None else write(result, name=name)
+    if FORMATS[format].named and file is not None and re.fullmatch(r"[\w.+ -]+", file):
+        from posegsa.export.c_text import NAME  # slow, as the writers
+
+        text = text.replace(f"{name or NAME}.h", file)
+    return text

@@ -51,6 +51,8 @@ def _parts(result: Result) -> dict[str, Any]:
     """The parts of a result that figures show, by the name of the figure's argument."""
     judged = result.on_scenarios
     parts: dict[str, Any] = {"history": None if result.search is None else result.search.history}
+    if result.search is not None and result.search.tuned_on == "recordings":
+        parts["unit"] = "deg"
     parts["recorded"] = result.on_recordings
     if judged is not None:
         parts |= {"evaluation": judged.evaluation, "trajectory": judged.trajectory}

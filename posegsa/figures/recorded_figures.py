@@ -24,9 +24,10 @@ LINE = 80
     FIGURES,
     name="recorded_errors",
     title="Errors over the recordings",
-    caption="Root mean squares in blocks of about five seconds of what is judged; on what was held "
-    "out, or, if nothing was, on what the filter was tuned on. Several recordings follow each "
-    "other, with a line between them, and are numbered.",
+    caption="Root mean squares in blocks of about five seconds of what is judged, or shorter ones "
+    "of a recording of less than 20 s; on what was held out, or, if nothing was, on what the "
+    "filter was tuned on. Several recordings follow each other, with a line between them, and are "
+    "numbered.",
 )
 def plot_recorded_errors(recorded: OnRecordings) -> Figure | None:
     """Attitude error [deg] and position error [cm] of each filter over judged time [s]."""
@@ -45,12 +46,12 @@ def plot_recorded_errors(recorded: OnRecordings) -> Figure | None:
             drawn.append(errors)
         known = np.concatenate(drawn)
         style.error_panel(ax, label, known[np.isfinite(known)])
-        begins = np.cumsum([0.0, *(_seconds(one) for one in own[:-1])])
+        begins = np.cumsum([0.0, *(one.judged_seconds for one in own[:-1])])
         for number, begin in enumerate(begins if len(own) > 1 else (), start=1):
             ax.axvline(begin, color="0.6", linewidth=0.8)
             at = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
             ax.annotate(str(number), (begin, 1.0), (3, -2), va="top", color="0.4", **at)
-    style.finish_time(axes, np.array([0.0, sum(_seconds(one) for one in own)]))
+    style.finish_time(axes, np.array([0.0, sum(one.judged_seconds for one in own)]))
     names = "; ".join(f"{number}\u00a0{one.name}" for number, one in enumerate(own, start=1))
     names = f"\n{fill(names, LINE)}" if len(own) > 1 else ""
     axes[-1].set_xlabel(f"Judged time [s]{names}")
@@ -64,17 +65,12 @@ def _looks(count: int) -> list[style.Style]:
     return [look | {"linewidth": 2.2 if i == 0 else 1.2} for i, look in enumerate(each)]
 
 
-def _seconds(score: RecordingScore) -> float:
-    """Duration of the judged part of a recording [s]."""
-    return score.duration * score.errors["judged"].samples / max(1, score.samples)
-
-
 def _steps(scores: Sequence[RecordingScore], which: int) -> tuple[np.ndarray, np.ndarray]:
     """Ends of the blocks (n + 1,) [s], and errors in them (n,) [deg] or [cm]."""
     begin, ends, errors = 0.0, [np.zeros(1)], []
     for one in scores:
         squares = np.array(one.blocks[which], np.float64)
-        seconds = _seconds(one)
+        seconds = one.judged_seconds
         ends.append(begin + seconds * np.arange(1, len(squares) + 1) / max(1, len(squares)))
         errors.append((100.0 if which else 1.0) * np.sqrt(squares))
         begin += seconds

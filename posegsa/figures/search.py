@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES: list[ResultFigure] = []
+HIGHEST = 100.0
+"""Multiple of the largest mean cost up to which the worst ones are shown."""
 
 
 @captioned(
@@ -23,12 +25,13 @@ FIGURES: list[ResultFigure] = []
     name="convergence",
     title="Convergence",
     caption="If the best cost still falls at the end, more iterations may help. These are "
-    "training costs; the held-out cost measures the result. The worst cost may be above the "
-    "figure.",
+    "training costs; the held-out cost measures the result. A worst cost of more than 100 times "
+    "the largest mean is above the figure.",
 )
-def plot_convergence(history: History) -> Figure:
-    """Best cost so far, mean and worst training cost [-] of each iteration of the search.
+def plot_convergence(history: History, unit: str = "-") -> Figure:
+    """Best cost so far, mean and worst training cost of each iteration of the search.
 
+    `unit` is that of the cost: [deg] on recordings, [-] on scenarios.
     The curves leave out costs that are not finite; a second panel counts them, if there are any.
     """
     failures = np.asarray(history.non_finite)
@@ -45,10 +48,12 @@ def plot_convergence(history: History) -> Figure:
         ax.plot(iteration, finite(values), label=name, marker=marker, markersize=3, **look)
     costs = np.concatenate([values for _, values, _ in curves])
     style.scale_costs(ax, "y", costs[np.isfinite(costs)])
-    mean = finite(history.mean)
+    mean, worst = finite(history.mean), finite(history.worst)
     if np.isfinite(mean).any():  # otherwise a few worst costs would flatten the rest
-        ax.set_ylim(top=1.1 * np.nanmax(mean))
-    ax.set_ylabel("Cost [-]")
+        highest = HIGHEST * np.nanmax(mean)
+        if np.nanmax(worst, initial=0.0) > highest:
+            ax.set_ylim(top=highest)
+    ax.set_ylabel(f"Cost [{unit}]")
     for panel in below:
         panel.bar(iteration, failures, width=1.0, color="0.35")
         panel.set_ylabel("Not\nfinite [-]")

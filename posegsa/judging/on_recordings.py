@@ -17,7 +17,7 @@ from posegsa.judging.evaluation import CONSTANT, IMU_AS_IT_COMES, advice, frame_
 from posegsa.judging.known_sensors import StoredSensors
 from posegsa.judging.replayed import HEADS, error_rows, replayed_on, with_heads
 from posegsa.judging.verdict import Loss, verdict
-from posegsa.recordings.accuracy import AnyNumber, Blocks, Rmse
+from posegsa.recordings.accuracy import BLOCK, FEWEST_BLOCKS, AnyNumber, Blocks, Rmse
 from posegsa.recordings.broad import GYROSCOPE
 from posegsa.recordings.fingerprint import fingerprint
 from posegsa.recordings.frames import Frame
@@ -41,8 +41,8 @@ NOT_CUT = 0.99
 """Ratio of used to requested gain above which the gain counts as not cut."""
 MATTERS = 1.02
 """Ratio of errors below which filters count as equally good."""
-DRAWS, FEWEST_BLOCKS = 2000, 4
-"""Draws of a bootstrap, and the blocks that a recording needs for one."""
+DRAWS = 2000
+"""Draws of a bootstrap."""
 MOSTLY = 0.5
 """Share of samples above which a result warns that the gain limit sets the gain."""
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -69,6 +69,11 @@ class RecordingScore(NamedTuple):
     limited: Share | None = None
     """Share of the samples with a measurement in which the gain limit cut what the schedule asked
     for; None of a filter without a gain K."""
+
+    @property
+    def judged_seconds(self) -> float:
+        """Duration of what is judged [s]."""
+        return self.duration * self.errors["judged"].samples / max(1, self.samples)
 
 
 class SimulatedScore(NamedTuple):
@@ -256,7 +261,7 @@ def _loss(
     for pair in zip(own, other, strict=True):
         squares = np.array([pair[0].blocks[which], pair[1].blocks[which]], np.float64)
         count = squares.shape[1]
-        if count < FEWEST_BLOCKS:
+        if count < FEWEST_BLOCKS or pair[0].judged_seconds < 0.5 * count * BLOCK:
             return Loss(mean, np.nan, np.nan, unit)
         errors = np.sqrt(squares[:, rng.integers(count, size=(DRAWS, count))].mean(axis=2))
         differences += (errors[0] - errors[1]) / len(own)

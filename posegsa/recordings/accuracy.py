@@ -24,8 +24,10 @@ from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import product, quaternions
 from posegsa.settings.arrays import Numbers
 
-BLOCK = 5.0
-"""Length of a block [s]."""
+BLOCK, FEWEST_BLOCKS = 5.0, 4
+"""Length of a block [s], and the blocks that a recording needs for a confidence interval."""
+SHORT = 20
+"""Number of blocks, for a figure, of a recording that is too short for such an interval."""
 AnyNumber = Annotated[float, Numbers(allow="any")]
 """A number that may be NaN, or infinite if a filter diverged."""
 
@@ -56,7 +58,8 @@ class Rmse(NamedTuple):
 class Blocks(NamedTuple):
     """Mean square errors in blocks of a recording's judged samples, for confidence intervals.
 
-    Errors of neighbouring samples are correlated, those of blocks of some seconds hardly are.
+    Errors of neighbouring samples are correlated, those of blocks of some seconds hardly are. A
+    recording that is too short for such blocks has shorter ones, for a figure alone.
     """
 
     attitude: list[AnyNumber]
@@ -92,10 +95,16 @@ class RecordingErrors(NamedTuple):
         }
 
     def blocks(self) -> Blocks:
-        """Mean square errors in blocks of BLOCK seconds of the judged samples."""
+        """Mean square errors in blocks of BLOCK seconds of the judged samples.
+
+        Of a recording with fewer than FEWEST_BLOCKS they are in SHORT blocks.
+        """
         judged = np.flatnonzero(self.masks["judged"])
         length = max(1, int(BLOCK / np.median(np.diff(self.time))))
-        parts = np.array_split(judged, max(1, round(len(judged) / length)))
+        count = round(len(judged) / length)
+        if count < FEWEST_BLOCKS:
+            count = min(SHORT, len(judged))
+        parts = np.array_split(judged, max(1, count))
         squares = [
             None if errors is None else [rmse(errors[part]) ** 2 for part in parts]
             for errors in (self.attitude.total, self.position)

@@ -18,8 +18,8 @@ import numpy as np
 
 from posegsa.config.reading import read_toml
 from posegsa.errors import ConfigError, RecordingError
-from posegsa.recordings.table import COLUMNS
-from posegsa.words import counted, meant
+from posegsa.recordings.table import ALIASES, COLUMNS
+from posegsa.words import counted
 
 TABLE_KEYS = "columns", "time_unit", "delimiter"
 """Keys for reading a CSV file."""
@@ -34,7 +34,7 @@ ARGUMENTS = (
 STREAM_KEYS = "truth", "between"
 """Keys of sensors with stamps of their own: a TUM file with the truth, by its path from the folder
 of the TOML file, and what to do between samples."""
-COLUMN_ARGUMENTS = (*COLUMNS, "vectors", "landmarks")
+COLUMN_ARGUMENTS = (*COLUMNS, "vectors", "landmarks", *ALIASES)
 
 
 def path_beside(path: Path) -> Path:
@@ -69,8 +69,6 @@ def read_beside(path: Path, keys: tuple[str, ...] = TABLE_KEYS) -> dict[str, Any
     for key in ("topics", "between"):
         if key in found and not isinstance(found[key], dict):
             raise RecordingError(f"{beside}: {key} = {found[key]!r}; allowed: a table, [{key}]")
-    if isinstance(found.get("frame"), str):
-        found["frame"] = found["frame"].upper()
     if "truth" in found:
         found["truth"] = beside.parent / found["truth"]
     if "columns" in found:
@@ -106,11 +104,11 @@ def _check_columns(columns: object, beside: Path) -> None:
     for argument, names in columns.items():
         where = f"{beside}: columns.{argument}"
         if argument not in COLUMN_ARGUMENTS:
-            similar = meant(argument, COLUMN_ARGUMENTS)
-            raise RecordingError(f"{where}; allowed: {', '.join(COLUMN_ARGUMENTS)}{similar}")
+            raise RecordingError(f"{where}; allowed: {', '.join(COLUMN_ARGUMENTS)}")
         if not _are_names(names):
             raise RecordingError(f"{where} = {names!r}; allowed: names of columns")
-    if missing := {"time", "angular_velocity"} - columns.keys():
+    named = {ALIASES.get(argument, argument) for argument in columns}
+    if missing := {"time", "angular_velocity"} - named:
         raise RecordingError(f"{beside}: columns: lacks {', '.join(sorted(missing))}")
 
 

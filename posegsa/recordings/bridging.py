@@ -76,9 +76,9 @@ def stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) ->
         name = "time_step" if time is None else "time"
         raise RecordingError(
             f"{name}: a median step of {step:.3g} s, {1 / step:.3g} samples a second; allowed: "
-            f"{FASTEST:g} to {SLOWEST:g} s. Are the time stamps in another unit? Of a CSV file, "
-            'say so by time_unit = "ms" (or "us", "ns") in the TOML file beside it, or '
-            "from_csv(time_unit=); in arrays, floats are in s and integers in ns"
+            f"{FASTEST:g} to {SLOWEST:g} s. Are the time stamps in another unit? Then state it: "
+            'the line time_unit = "ms" (or "us", "ns") in FILE.csv.toml beside FILE.csv, in Python '
+            "from_csv(..., time_unit=); in arrays, floats are in s and integers in ns"
         )
     return found
 

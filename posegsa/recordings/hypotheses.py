@@ -65,7 +65,8 @@ def hypotheses(q: Quantities) -> Iterator[Hypothesis]:
         )
     for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         yield Hypothesis(
-            f'the time stamps look like {unit}: set time_unit = "{unit}"',
+            f'the time stamps look like {unit}: set time_unit = "{unit}" in the TOML file beside '
+            "the recording",
             lambda q, factor=factor: q.changed(time=q.time * factor),
             1,
             f"{TURNING}|{MOVING}",

@@ -20,7 +20,7 @@ from posegsa.filters.attitude import LONGEST_PAUSE
 from posegsa.model import limits
 from posegsa.model.measurements import finite_array, finite_rows
 from posegsa.recordings.bridging import refuse_gaps
-from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame, check_frame
+from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame, checked_frame
 from posegsa.recordings.imu_advice import advice
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import to_east_north_up
@@ -154,7 +154,7 @@ def _made(
     **more: Any,
 ) -> ImuRecording:
     """A checked recording of signals (K, 3), with further arguments of `Recording.from_arrays`."""
-    check_frame(frame)
+    frame = checked_frame(frame)
     sensors, wild = _without_wild(sensors)
     # The filter itself knows for how long a slow sensor's sample stands.
     more["weights_by_rate"] = False

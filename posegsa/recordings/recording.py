@@ -34,7 +34,7 @@ from posegsa.recordings.bridging import (
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.checked_files import as_path, naming
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
-from posegsa.recordings.frames import Frame, check_frame
+from posegsa.recordings.frames import Frame, checked_frame
 from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
 from posegsa.recordings.policies import Policy
 from posegsa.recordings.readers import IN_WORDS, READERS
@@ -198,7 +198,7 @@ class Recording:
         """
         check_type("name", name, str)
         if frame is not None:
-            check_stated(frame, sensors or ())
+            frame = check_stated(frame, sensors or ())
         omega = finite_array("angular_velocity", angular_velocity, (None, 3), finite=False)
         samples = len(omega)
         attitude_only = velocity is None
@@ -742,14 +742,15 @@ class Recording:
         return slice(0, len(rest) if rest.all() else int(np.argmin(rest)))
 
 
-def check_stated(frame: object, sensors: Collection[str]) -> None:
-    """Raise a RecordingError unless a frame may be stated of a recording with these raw signals."""
-    check_frame(frame)
+def check_stated(frame: object, sensors: Collection[str]) -> Frame:
+    """The frame; a RecordingError unless it may be stated of a recording with these signals."""
+    known = checked_frame(frame)
     if "accelerometer" not in sensors:
         raise RecordingError(
             f"frame = {frame!r}; allowed: of a recording with an accelerometer (columns ax ay az "
             "of a CSV file); that of others is the frame of their references"
         )
+    return known
 
 
 def _mask(name: str, mask: ArrayLike, samples: int) -> np.ndarray:

@@ -27,6 +27,8 @@ COLUMNS: dict[str, Any] = {
 }
 """The default names; columns that a file does not have are left out. A column "time_ns" is the time
 in ns, as integers. For vectors and landmarks see `SIGHTING`."""
+ALIASES = {"gyr": "angular_velocity", "acc": "accelerometer", "mag": "magnetometer"}
+"""Other names of these arguments: those of `imu`."""
 SIGHTING = re.compile(r"(?P<kind>[vl])(?P<number>\d+)_[xyz]")
 """Default names of columns of vectors and landmarks, ordered by number: v0_x v0_y v0_z, v1_x ...,
 l0_x ..."""
@@ -70,6 +72,7 @@ def read_csv(
     if columns is None:
         columns = _default_columns(path, head)
         time_unit = "ns" if columns["time"] == "time_ns" else time_unit
+    columns = by_argument(columns)
     if unread := _unread(head, columns):
         found["notes"] = (f"columns that are not used: {unread}",)
     table = _Table(path, head, cells, delimiter)
@@ -84,6 +87,18 @@ def read_csv(
         else:
             found[argument] = table.array(argument, names)
     return found
+
+
+def by_argument(columns: Columns) -> Columns:
+    """Columns by the names of arguments, without `ALIASES`.
+
+    Raises:
+        RecordingError: an argument has two names.
+    """
+    for alias, argument in ALIASES.items():
+        if alias in columns and argument in columns:
+            raise RecordingError(f"columns: {alias} and {argument}; allowed: one of the two")
+    return {ALIASES.get(name, name): names for name, names in columns.items()}
 
 
 def _refuse_other_separator(path: Path, head: str, *, comment: bool) -> None:

@@ -357,6 +357,10 @@ def test_export_writes_each_format(finished, tmp_path, capsys):
     assert path.read_text("utf-8") == written
     assert main(["export", run, "--format", "c", "--out", str(tmp_path / "no" / "such")]) == 2
     assert "cannot be written" in capsys.readouterr().err
+    header = tmp_path / "front.h"
+    assert main(["export", run, "--format", "c", "--out", str(header)]) == 0
+    assert '#include "front.h"' in header.read_text()
+    capsys.readouterr()
     assert main(["export", run, "--format", "c", "--name", "own"]) == 0
     assert "own_step" in capsys.readouterr().out
 

@@ -160,3 +160,15 @@ def test_formats_by_name():
         export(result, "xls")
     with pytest.raises(PosegsaError, match="name = 'own'; allowed: only with c or c-gain"):
         export(result, "json", name="own")
+
+
+def test_a_c_file_has_its_own_name_in_its_example():
+    result = tuned(K)
+    for name, file in ((None, "posegsa_front.h"), ("own", "filter.h")):
+        text = export(result, "c", name, file)
+        assert text.startswith(f"/*\n * {file}: ")
+        assert f'#include "{file}"' in text
+        assert f"{name or 'posegsa'}.h" not in text
+        assert f"{name or 'posegsa'}_step" in text
+    odd = export(result, "c", file='a"; */ b.h')
+    assert odd == export(result, "c"), "no name that a comment or an #include can't have"

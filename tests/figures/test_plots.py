@@ -219,6 +219,10 @@ def test_convergence_shows_the_history():
     iteration = np.arange(1, 41)
     assert_drawn(ax, *((iteration, values) for values in past[:3]))
     assert ax.get_yscale() == "linear"
+    assert ax.get_ylim()[1] >= np.max(past.worst), "the worst costs are within the axes"
+    assert ax.get_ylabel() == "Cost [-]"
+    (ax,) = search.plot_convergence(past, unit="deg").axes
+    assert ax.get_ylabel() == "Cost [deg]"
 
 
 def test_convergence_takes_costs_that_are_not_finite():
@@ -231,6 +235,7 @@ def test_convergence_takes_costs_that_are_not_finite():
     figure.draw_without_rendering()
     ax, below = figure.axes
     assert ax.get_yscale() == "log"
+    assert ax.get_ylim()[1] == 1e6, "a cost of a diverged filter does not flatten the others"
     assert_drawn(
         ax, *(([1, 2, 3, 4], np.where(np.isfinite(values), values, nan)) for values in past[:3])
     )

@@ -105,6 +105,17 @@ def test_an_option_states_the_frame(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "looks like NED, not ENU: --frame NED" in capsys.readouterr().err
 
 
+def test_a_frame_may_be_in_small_letters(tmp_path: Path) -> None:
+    path = csv(tmp_path / "log.csv", "NED", "ned")
+    assert Recording.read(path).frame == "NED"
+    assert main(["check", path, "--frame", "ned"]) == 0
+    given, small = inertial_motion(frame="NWU"), "nwu"
+    made = posegsa.imu(**given, frame=small)  # type: ignore[arg-type]  # in capitals by the type
+    assert made.frame == "NWU"
+    result = posegsa.configured("imu").in_frame(small)  # type: ignore[arg-type]
+    assert result.frame == "NWU"
+
+
 def test_what_is_no_frame_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = csv(tmp_path / "ned.csv", "NED", stated="END")
     assert main(["check", path]) == 2

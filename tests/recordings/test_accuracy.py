@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 import posegsa
 from posegsa.errors import MeasurementError, RecordingError
 from posegsa.filters.rollout import Estimates
+from posegsa.recordings.accuracy import SHORT
 from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.quick
@@ -51,6 +52,16 @@ def estimates_of(recording: Recording, turned: Rotation, moved: list[float]) -> 
         error=nothing,
         rate=nothing,
     )  # type: ignore[arg-type]  # NumPy arrays will do
+
+
+@pytest.mark.parametrize(("seconds", "blocks"), [(4, SHORT), (10, SHORT), (20, 4), (60, 12)])
+def test_a_short_recording_has_blocks_for_a_figure(seconds: float, blocks: int) -> None:
+    recording = Recording.from_arrays(**motion(100 * seconds))
+    turned = Rotation.from_rotvec([0, 0, 0.1])
+    errors = posegsa.recording_errors(estimates_of(recording, turned, [0.0, 0.0, 0.3]), recording)
+    found = errors.blocks()
+    np.testing.assert_allclose(found.attitude, [np.degrees(0.1) ** 2] * blocks)
+    np.testing.assert_allclose(found.position or [], [0.3**2] * blocks)
 
 
 def test_errors_are_judged_by_phase_where_the_truth_is_known() -> None:
