@@ -18,6 +18,10 @@ WINDOW = 0.1
 MIN_TURN = 0.1
 """Minimum sum of squared turns by the accelerometer [rad^2] for determining the unit: 18 deg in
 one turn."""
+FOLLOWS = 0.1
+"""Minimum correlation of both turns for determining the unit. Below it the body's accelerations
+turn the direction: a slope near 0 is then no unit. In windows of 5 s and more of BROAD it is above
+that wherever the slope is that of rad/s to a factor of two, but for one in 500."""
 GRAVITIES = 0.5, 2.0
 """Range of the median length of accelerations in multiples of g."""
 ACCELERATIONS = 5.0, 40.0
@@ -66,10 +70,10 @@ def check_units(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> None:
 
 
 def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float | None:
-    """The factor on gyr (K, 3) that fits acc (K, 3); None if the body hardly turns.
+    """The factor on gyr (K, 3) that fits acc (K, 3).
 
-    Means over WINDOW of what is not missing are compared, so it is inaccurate if the body turns
-    fast or shakes.
+    None if the body hardly turns, or if acc does not follow its turns. Means over WINDOW of what is
+    not missing are compared, so it is inaccurate if the body turns fast or shakes.
     """
     size = max(1, round(WINDOW / time_step))
     blocks = len(gyr) // size
@@ -84,8 +88,10 @@ def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float 
     moved, expected = moved[known], expected[known]
     if np.sum(moved**2) < MIN_TURN:
         return None
-    square = float(np.sum(expected**2))
-    return float(np.sum(expected * moved)) / square if square > 0 else None
+    square, both = float(np.sum(expected**2)), float(np.sum(expected * moved))
+    if both <= FOLLOWS * math.sqrt(square * float(np.sum(moved**2))):
+        return None
+    return both / square
 
 
 def _means(parts: np.ndarray) -> np.ndarray:

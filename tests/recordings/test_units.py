@@ -38,6 +38,14 @@ def test_what_no_gyroscope_measures_is_refused_though_the_body_shakes() -> None:
         check_units(np.degrees(gyr), acc, STEP)
 
 
+def test_accelerations_alone_are_no_sign_of_degrees() -> None:
+    """A body that is thrown about for 20 s: its accelerations do not follow its turns."""
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        gyr, acc = (np.repeat(rng.normal(0, size, (200, 3)), 10, axis=0) for size in (6, 8))
+        check_units(gyr, acc, STEP)
+
+
 @pytest.mark.parametrize("every", [2, 10])
 def test_a_slow_accelerometer_shows_degrees_too(every: int) -> None:
     given = inertial_motion(1.0, 10.0, noise=1.0)
