@@ -112,7 +112,7 @@ def test_a_frame_may_be_in_small_letters(tmp_path: Path) -> None:
     given, small = inertial_motion(frame="NWU"), "nwu"
     made = posegsa.imu(**given, frame=small)  # type: ignore[arg-type]  # in capitals by the type
     assert made.frame == "NWU"
-    result = posegsa.configured("imu").in_frame(small)  # type: ignore[arg-type]
+    result = posegsa.configured("imu").in_frame(small)  # type: ignore[arg-type]  # likewise
     assert result.frame == "NWU"
 
 
