@@ -45,7 +45,7 @@ from posegsa.saving.resume import (
     folder_to_resume,
 )
 from posegsa.search import memory
-from posegsa.search.beside import beside
+from posegsa.search.background import in_background
 from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.population import TrackCost, check_same_cost
 from posegsa.search.problem import TuningProblem, tuning_problem
@@ -201,7 +201,7 @@ class _Task(NamedTuple):
 
     def references(self, problem: TuningProblem) -> Callable[[], References] | None:
         """What judges the filter whatever is found, begun while the search is compiled."""
-        return None if self.recorded else beside(partial(references, problem))
+        return None if self.recorded else in_background(partial(references, problem))
 
 
 def _stored(recorded: Recorded | None) -> RecordedTask | None:

@@ -94,8 +94,9 @@ def filter_to_c(
 ) -> str:
     """C99 header of any filter; `export_c` writes that of a result.
 
-    An observer without landmarks, and the `AttitudeFilter`, estimate the attitude only, and their
-    measurements have no velocity. Any other filter estimates a pose, also without landmarks.
+    An observer without landmarks and without belief, and the `AttitudeFilter`, estimate the
+    attitude only, and their measurements have no velocity. Any other filter estimates a pose, also
+    without landmarks.
 
     Args:
         filter: An `Observer` with a schedule of `posegsa.model.schedules`, or one of your own; a

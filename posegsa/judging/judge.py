@@ -45,7 +45,7 @@ from posegsa.judging.trajectory import trajectory_on
 from posegsa.judging.untuned import always_starts, untuned_kalman
 from posegsa.recordings.recording import Recording
 from posegsa.runtime import environment
-from posegsa.search.beside import beside
+from posegsa.search.background import in_background
 from posegsa.search.candidates import Candidate
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
@@ -170,10 +170,11 @@ def on_scenarios(
     `found` is its description, `known` is as in `judge`.
     """
     experiment, scenarios = problem.experiment, problem.simulated
-    known = known or beside(partial(references, problem))
+    known = known or in_background(partial(references, problem))
     count = experiment.run.training_scenarios
-    one_run = beside(partial(trajectory_on, tuned, scenarios, count))  # the first held-out one
-    precision = beside(partial(trust.other_precision, problem, tuned))
+    first_unseen = count
+    one_run = in_background(partial(trajectory_on, tuned, scenarios, first_unseen))
+    precision = in_background(partial(trust.other_precision, problem, tuned))
     _begin("the filter to compare with")
     name, other, evaluations = _beside(problem, tuned)
     judged = own_name(found)

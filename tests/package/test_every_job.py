@@ -58,6 +58,7 @@ FILTERS: dict[str, tuple[dict[str, Any], Callable[..., Any] | None]] = {
     "fuzzy": ({}, None),
     "constant": ({"schedule": "constant"}, None),
     "smooth": ({"schedule": "smooth"}, None),
+    "believing": ({"schedule": "constant", "belief": "ramp"}, None),
     "kalman": ({"kind": "kalman", "vector_bias": "off"}, None),
     "scheduled kalman": (
         {"kind": "kalman", "vector_bias": "off", "belief": "fuzzy", "unknown": "ramp"},

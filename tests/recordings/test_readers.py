@@ -408,19 +408,3 @@ def test_broad_is_read(tmp_path: Path) -> None:
     savemat(tmp_path / "less.mat", trial)
     with pytest.raises(RecordingError, match="imu_mag"):
         Recording.read(tmp_path / "less.mat")
-
-
-def test_a_mapping_that_leaves_columns_out_says_which(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    rows = [f"{0.01 * k},0,0,0,0,0,9.8,1,0,0,0" for k in range(20)]
-    path.write_text("\n".join(["time,wx,wy,wz,ax,ay,az,qw,qx,qy,qz", *rows]), "utf-8")
-    beside = tmp_path / "a.csv.toml"
-    mapping = '[columns]\ntime = "time"\nangular_velocity = ["wx", "wy", "wz"]\n'
-    signal = 'accelerometer = ["ax", "ay", "az"]\n'
-    beside.write_text(f'frame = "ned"\n{mapping}{signal}', "utf-8")
-    found = Recording.read(path)
-    assert found.frame == "NED"  # in any case
-    assert any("not used: qw, qx, qy, qz" in note for note in found.notes)
-    beside.write_text(mapping + signal.replace("accelerometer", "acceleration"), "utf-8")
-    with pytest.raises(RecordingError, match=r"columns.acceleration; allowed: .*accelerometer"):
-        Recording.read(path)

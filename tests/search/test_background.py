@@ -1,19 +1,19 @@
-"""Work in a thread beside the caller's."""
+"""Work in the background."""
 
 import jax
 import jax.numpy as jnp
 import pytest
 
 from posegsa import steps
-from posegsa.search.beside import beside
+from posegsa.search.background import in_background
 
 
 def test_it_returns_what_the_work_returns():
-    assert beside(lambda: 6 * 7)() == 42
+    assert in_background(lambda: 6 * 7)() == 42
 
 
 def test_the_caller_gets_the_exception_of_the_work():
-    wait = beside(lambda: 1 / 0)
+    wait = in_background(lambda: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         wait()
 
@@ -21,7 +21,7 @@ def test_the_caller_gets_the_exception_of_the_work():
 @pytest.mark.parametrize("wide", [False, True])
 def test_the_work_has_the_floating_types_of_the_caller(wide):
     with jax.enable_x64(wide):
-        found = beside(lambda: jnp.asarray(1.0).dtype)()
+        found = in_background(lambda: jnp.asarray(1.0).dtype)()
     assert found == (jnp.float64 if wide else jnp.float32)
 
 
@@ -29,6 +29,6 @@ def test_only_the_steps_of_the_caller_are_reported():
     told: list[str] = []
     with steps.listening(lambda step: told.append(step.name)):
         steps.begin("mine")
-        beside(lambda: steps.begin("beside"))()
+        in_background(lambda: steps.begin("theirs"))()
         steps.share(0.5)
     assert told == ["mine", "mine"]

@@ -1,4 +1,4 @@
-"""Work in a thread beside the caller's.
+"""Work in the background, in a thread of its own.
 
 XLA compiles a program on one core. What does not depend on the present step can be compiled and run
 on the others.
@@ -17,7 +17,7 @@ from posegsa import steps
 T = TypeVar("T")
 
 
-def beside(work: Callable[[], T]) -> Callable[[], T]:
+def in_background(work: Callable[[], T]) -> Callable[[], T]:
     """Begin work in another thread, with the caller's floating types.
 
     The steps of the work are not reported, since the caller's are.
