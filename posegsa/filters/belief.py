@@ -36,6 +36,7 @@ from posegsa.model.estimate import FilterState
 from posegsa.model.sample import LandmarkSample, Sample
 from posegsa.model.schedules import GainSchedule, PreparedSchedule
 from posegsa.model.se3 import Vec3, dot, rows
+from posegsa.model.vectors import VectorSample
 
 BeliefInput = Literal["residual", "variance"]
 """The input of belief: a sensor's normalised squared residual, or the variance that it implies."""
@@ -207,13 +208,21 @@ def over_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
         sample: whose sensors with a weight above 0 are measured.
         largest: any number that no factor exceeds.
     """
-    found = []
-    for sensors, of_kind in zip((each_vector(sample), sample.landmarks), factors, strict=True):
-        least = largest
-        for sensor, factor in zip(sensors, of_kind or (), strict=of_kind is not None):
-            least = minimum(least, choose(sensor.factor > 0, factor, largest))
-        found.append(None if of_kind is None else tuple(factor / least for factor in of_kind))
-    return Factors(*found)
+
+    def relative(
+        sensors: Sequence[VectorSample | LandmarkSample], of_kind: tuple[Array, ...] | None
+    ) -> tuple[Array, ...] | None:
+        if of_kind is None:
+            return None
+        pairs = zip(sensors, of_kind, strict=True)
+        measured = (choose(sensor.factor > 0, factor, largest) for sensor, factor in pairs)
+        least = reduce(minimum, measured, largest)
+        return tuple(factor / least for factor in of_kind)
+
+    return Factors(
+        relative(each_vector(sample), factors.vectors),
+        relative(sample.landmarks, factors.landmarks),
+    )
 
 
 def as_believed(sample: Sample, factors: Factors) -> Sample:

@@ -5,9 +5,8 @@ on the others.
 """
 
 import contextvars
-import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import jax
@@ -25,18 +24,14 @@ def in_background(work: Callable[[], T]) -> Callable[[], T]:
     Returns:
         A function that waits for the work and returns its result, or raises its exception.
     """
-    future: Future[T] = Future()
     wide = jax.config.read("jax_enable_x64")  # JAX keeps it for each thread
 
-    def run() -> None:
-        try:
-            with jax.enable_x64(wide), steps.listening(lambda _: None):
-                found = work()
-        except BaseException as error:  # the waiting thread raises it
-            future.set_exception(error)
-        else:
-            future.set_result(found)
+    def run() -> T:
+        with jax.enable_x64(wide), steps.listening(lambda _: None):
+            return work()
 
-    # A process that ends waits for it: XLA crashes if it ends while a program is compiled.
-    threading.Thread(target=contextvars.copy_context().run, args=(run,)).start()
+    # A process that ends waits for the thread: XLA crashes if it ends while a program is compiled.
+    thread = ThreadPoolExecutor(1)
+    future = thread.submit(contextvars.copy_context().run, run)
+    thread.shutdown(wait=False)  # once the work is done
     return future.result
