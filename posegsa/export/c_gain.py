@@ -144,8 +144,20 @@ def signal_in_words(result: Result) -> list[str]:
         "    before: e of the previous sample; at the first sample before = now, so that rate is 0",
         *wrapped(_SYMBOLS[gain.signal]),
         *(_known(result) if gain.signal == "measured" else []),
+        *_believed(result),
         *settings_of(gain),
     ]
+
+
+def _believed(result: Result) -> list[str]:
+    """What belief changes of the weights, if the observer has it."""
+    used = result.tuned.filter
+    if not isinstance(used, ObserverConfig) or used.belief == "off":
+        return []
+    return wrapped(
+        "These weights are divided by the factor of each sensor's belief (filter.belief_...), over "
+        "the least factor of the vectors or of the landmarks. This file does not compute it."
+    )
 
 
 def _unknown(result: Result) -> list[str]:

@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import io
 import json
+import re
 from typing import Any
 
 import jax
@@ -124,6 +125,17 @@ def test_other_tuned_numbers_are_in_json_and_c():
     text = export_c_gain(result)
     assert "error = e / 0.75\n" in text
     assert "m, weight 0.375\n" in text
+
+
+@pytest.mark.parametrize("format", ["c-gain", "fis", "fll"])
+def test_a_controller_of_an_observer_with_belief_says_whose_weights_are_divided(format):
+    words = "divided by the factor of each sensor's belief"
+    plain = tuned(K)
+    believing = config.override(plain.experiment, ["filter.belief=ramp"])
+    with_belief = dataclasses.replace(plain, experiment=believing)
+    for result, said in ((plain, False), (with_belief, True)):
+        written = re.sub(r"[\s*%#]+", " ", export(result, format))
+        assert (words in written) == said
 
 
 def test_csv_is_the_control_surface():
