@@ -1,4 +1,4 @@
-"""Cost of the exported filter: time on this machine, sizes, instructions on a Cortex-M4F.
+"""Cost of the exported filters: time on this machine, sizes, instructions on a Cortex-M4F.
 
 1. On this machine: nanoseconds per step over a simulated minute, in float and double; best and
    median of many passes. Sizes of state and measurement.
@@ -7,11 +7,12 @@
    than one. The board must give the same estimate as this machine. Needs gcc-arm-none-eabi,
    libnewlib-arm-none-eabi and qemu-system-arm; without them this part is left out.
 
-The filters are that of a tuned result, and the same for the attitude alone, without the landmarks,
-as other attitude filters use a gyroscope and two vectors. They are compared with Kalman filters of
-12 and 18 states, with the result's sensors and with eight landmarks.
+The filters are those of shipped configurations, with the sensors of their scenarios; the observer
+also with belief in each sensor, and for the attitude alone, without the landmark, as other attitude
+filters use a gyroscope and two vectors; and Kalman filters without a schedule, of 12 and 18 states,
+with one landmark and with eight.
 
-    python benchmarks/c_filter.py [--run FOLDER] [--write]
+    python benchmarks/c_filter.py [--write]
 """
 
 import argparse
@@ -24,6 +25,7 @@ import warnings
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -34,19 +36,18 @@ from readme import write_block
 
 import posegsa
 from posegsa import config
-from posegsa.export import export_c, filter_to_c
+from posegsa.export import filter_to_c
+from posegsa.filters.belief import NoiseSignal
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
-from posegsa.filters.observer import Observer
-from posegsa.judging.result import Result
+from posegsa.filters.observer import BeliefSettings, ObserverGains
 from posegsa.model.measurements import Measurements
 from posegsa.model.scenario import integrate, measure
-from posegsa.saving.result_files import load
-from posegsa.search.configured_filters import filter_settings, signal_settings
+from posegsa.model.schedules import RampGain
 from posegsa.search.drawn_scenarios import scenario
 from posegsa.words import counted
 
 HERE = Path(__file__).parent / "on_target"
-PASSES = 200
+PASSES = 40
 ON_TARGET = 128
 """Number of samples for the emulated board."""
 START = np.array([0.5, -0.5, 0.5, 0.5, 1.0, -2.0, 3.0])
@@ -76,36 +77,62 @@ class Exported:
     start: np.ndarray
 
 
-def exported(result: Result) -> list[Exported]:
-    """The tuned filter, for the pose and for the attitude only."""
-    experiment = config.override(result.tuned, ["run.dtype=float64"])
+def exported() -> list[Exported]:
+    """The filters that are measured."""
     with jax.enable_x64(True):
-        one = scenario(experiment)
-        sensed = measure(one, integrate(one), jax.random.key(0)).measurements
-        m = jax.tree.map(np.asarray, sensed)
-        settings = filter_settings(experiment)
-        signal = signal_settings(experiment.gain, np.float64)
-    attitude = Observer(result.schedule, replace(settings, landmark_weights=None), signal)
-    alone = filter_to_c(attitude, vectors=m.vector_references[0])
-    n, landmarks = m.vectors.shape[1], m.landmarks.shape[1]
-    sensors = f"{n} vectors, {counted(landmarks, 'landmark')}"
-    return [
-        Exported(f"pose, {sensors}", export_c(result), rows(m), (), START),
-        *(kalman(each, biases) for each in (m, with_landmarks(m, 8)) for biases in (False, True)),
-        Exported(
-            f"attitude alone, {n} vectors", alone, rows(m, False), ("-DATTITUDE_ONLY",), START[:4]
-        ),
-    ]
+        few, several = measured("observer"), measured("disturbed")
+        eight = with_landmarks(few, 8)
+        observer = shipped("observer", few)
+        line = RampGain(jnp.asarray(0.1), jnp.asarray(1.0))
+        signal = NoiseSignal(*map(jnp.asarray, (0.1, 1e6, 0.1, 1e6)))
+        believing = replace(
+            shipped("observer", several),
+            schedule=ObserverGains(observer.schedule, line, line),
+            belief=BeliefSettings(signal, jnp.asarray(0.1), jnp.asarray(0.1)),
+        )
+        alone = replace(observer, settings=replace(observer.settings, landmark_weights=None))
+        return [
+            written("`observer`", observer, few),
+            written("`observer` with belief in each sensor", believing, several),
+            written("`observer`, attitude alone", alone, few, pose=False),
+            *(
+                written(f"Kalman, {18 if biases else 12} states", kalman(biases), m)
+                for m in (few, eight)
+                for biases in (False, True)
+            ),
+            written("`recommended`", shipped("recommended", few), few),
+            written("`disturbed`", shipped("disturbed", several), several),
+        ]
 
 
-def kalman(m: Measurements, vector_biases: bool) -> Exported:
+def measured(name: str) -> Measurements:
+    """A minute of the scenario of a shipped configuration."""
+    one = scenario(config.override(config.load(name), ["run.dtype=float64"]))
+    return jax.tree.map(np.asarray, measure(one, integrate(one), jax.random.key(0)).measurements)
+
+
+def shipped(name: str, m: Measurements) -> Any:
+    """The filter of a configuration as it is shipped, for the sensors of these measurements."""
+    vectors, landmarks = m.vectors.shape[1], m.landmarks.shape[1]
+    filter = posegsa.configured(name).filter_for(vectors=vectors, landmarks=landmarks)
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, np.float64)), filter)
+
+
+def kalman(vector_biases: bool) -> KalmanFilter:
     """A Kalman filter with plausible noises; its time does not depend on them."""
     values = (0.02, 0.02, 0.002, 0.003, 0.005, 0.1, 0.15, 1.0, 2.0, 0.1, 0.1, 0.1)
-    filter = KalmanFilter(KalmanNoise(*map(jnp.float32, values)), vector_biases)
-    n, landmarks = m.vectors.shape[1], m.landmarks.shape[1]
-    text = filter_to_c(filter, vectors=m.vector_references[0], landmarks=m.landmark_references[0])
-    name = f"Kalman, {12 + 3 * n * vector_biases} states, {n} vectors, "
-    return Exported(name + counted(landmarks, "landmark"), text, rows(m), (), START)
+    return KalmanFilter(KalmanNoise(*map(jnp.asarray, values)), vector_biases)
+
+
+def written(name: str, filter: Any, m: Measurements, *, pose: bool = True) -> Exported:
+    """A filter in C, for the sensors of these measurements."""
+    vectors, landmarks = m.vector_references[0], m.landmark_references[0] if pose else None
+    text = filter_to_c(filter, vectors=vectors, landmarks=landmarks)
+    sensors = f"{len(vectors)} vectors"
+    if landmarks is not None:
+        sensors += f", {counted(len(landmarks), 'landmark')}"
+    options, start = ((), START) if pose else (("-DATTITUDE_ONLY",), START[:4])
+    return Exported(f"{name}, {sensors}", text, rows(m, pose), options, start)
 
 
 def with_landmarks(m: Measurements, count: int) -> Measurements:
@@ -143,8 +170,7 @@ def run_here(one: Exported, real: str, passes: int, folder: Path) -> tuple[list[
 
 def on_this_machine(one: Exported, real: str, folder: Path) -> list[str]:
     """A table row: time per step and sizes."""
-    passes = PASSES // 10 if one.name.startswith("Kalman") else PASSES
-    times, (state, measurement, _) = run_here(one, real, passes, folder)
+    times, (state, measurement, _) = run_here(one, real, PASSES, folder)
     took = f"{min(times):.0f} ns ({statistics.median(times):.0f} ns)"
     sizes = (code_size(real, one, folder), state, measurement)
     return [one.name, real, took, *(f"{size} B" for size in sizes)]
@@ -226,9 +252,9 @@ def markdown(head: list[str], lines: list[list[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in [head, rule, *lines])
 
 
-def tables(result: Result) -> str:
+def tables() -> str:
     """All measurements as Markdown."""
-    filters = exported(result)
+    filters = exported()
     here, board = [], []
     emulated = all(map(shutil.which, ("arm-none-eabi-gcc", "qemu-system-arm")))
     for one in filters:
@@ -242,7 +268,7 @@ def tables(result: Result) -> str:
     parts = [
         markdown(["filter", "type", "a step, best (median)", "code", "state", "measurement"], here),
         f"{about['cpu']}, one core, {about['compiler']} -O2; {len(filters[0].rows)} samples, "
-        f"{PASSES} passes, of Kalman filters {PASSES // 10}; {about['date']}.",
+        f"{PASSES} passes; {about['date']}.",
     ]
     if board:
         head = [
@@ -264,12 +290,11 @@ def tables(result: Result) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="What the exported filter costs.")
-    parser.add_argument("--run", help="folder of a tuned run instead of a new one")
     parser.add_argument("--write", action="store_true", help="write the tables to docs/export.md")
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
-    text = tables(load(options.run) if options.run else posegsa.tune())
+    text = tables()
     print(text)
     if options.write:
         write_block("c-filter", text, "docs/export.md")
