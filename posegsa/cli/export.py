@@ -13,11 +13,12 @@ from posegsa.words import counted
 
 def add(commands) -> None:
     """Add the command to the others."""
+    width = max(map(len, FORMATS)) + 2
     parser = commands.add_parser(
         "export",
         help=f"write a tuned filter or its schedule as {', '.join(FORMATS)}",
         description="Writes the filter of a finished run, or the controller of its gain.\n\n"
-        + "\n".join(f"  {name:7}{format.about}" for name, format in FORMATS.items()),
+        + "\n".join(f"  {name:{width}}{format.about}" for name, format in FORMATS.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_run(parser)

@@ -47,8 +47,12 @@ WHAT = {"unknown": "velocities' noise", "belief": "a sensor's variance"}
 """What each controller of a role multiplies; that of belief divides an observer's weight by it."""
 
 
+_PARTS = ("history", "unit", "recorded", "evaluation", "trajectory", "trust", "controller", "output")
+"""The arguments that a plot can have."""
+
+
 def _parts(result: Result) -> dict[str, Any]:
-    """The parts of a result that figures show, by the name of the figure's argument."""
+    """The parts of a result that figures show, by their names in `_PARTS`."""
     judged = result.on_scenarios
     parts: dict[str, Any] = {"history": None if result.search is None else result.search.history}
     if result.search is not None and result.search.tuned_on == "recordings":
@@ -69,9 +73,16 @@ def _parts(result: Result) -> dict[str, Any]:
 
 
 def captioned(figures: list[ResultFigure], **words: str) -> Callable[[Plot], Plot]:
-    """Decorator: applies the common style to a plot, and adds it to `figures` with these words."""
+    """Decorator: applies the common style to a plot, and adds it to `figures` with these words.
+
+    Raises:
+        ValueError: The plot's first argument is no part of a result, so it would never be drawn.
+    """
 
     def add(plot: Plot) -> Plot:
+        shown, *_ = inspect.signature(plot).parameters
+        if shown not in _PARTS:
+            raise ValueError(f"{words['name']}: shows {shown!r}; allowed: one of {_PARTS}")
         drawn = styled(plot)
         figures.append(ResultFigure(**words, plot=drawn))
         return drawn

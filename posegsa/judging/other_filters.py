@@ -15,7 +15,7 @@ Mahony    R. Mahony, T. Hamel, J.-M. Pflimlin, "Nonlinear complementary filters 
 
 from collections.abc import Callable
 from importlib.util import find_spec
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -46,7 +46,8 @@ def other_filter(name: str, recording: Recording) -> Estimates:
     parts = np.split(np.arange(recording.samples), gaps_in(recording.time)[0] + 1)
     gyr, acc, mag = signals
     each = ((gyr[part], acc[part], mag[part]) for part in parts)
-    R = np.concatenate([OTHER_FILTERS[name](part, recording.time_step) for part in each])
+    run = OTHER_FILTERS[name].run
+    R = np.concatenate([run(part, recording.time_step) for part in each])
     R = to_east_north_up(recording.frame or "ENU").T @ R
     count = recording.samples
     nothing = np.full(count, np.nan)
@@ -66,7 +67,7 @@ def other_filter(name: str, recording: Recording) -> Estimates:
 
 def installed(name: str) -> bool:
     """Whether the library of one of `OTHER_FILTERS` is installed."""
-    return find_spec("vqf" if name == "VQF" else "ahrs") is not None
+    return find_spec(OTHER_FILTERS[name].package) is not None
 
 
 def readable(recording: Recording) -> bool:
@@ -113,13 +114,21 @@ def _initial_rotation(acc: np.ndarray, mag: np.ndarray) -> np.ndarray:
     return np.stack([east, np.cross(up, east), up])
 
 
-OTHER_FILTERS: dict[str, Callable[[Signals, float], np.ndarray]] = {
-    "VQF": _vqf,
-    "Madgwick": _madgwick,
-    "Mahony": _mahony,
+class OtherFilter(NamedTuple):
+    """A filter of another library."""
+
+    package: str
+    """The package that it is imported from."""
+    run: Callable[[Signals, float], np.ndarray]
+    """Of the signals and the time step [s]; rotations (K, 3, 3), body to x east, y north
+    (magnetic), z up."""
+
+
+OTHER_FILTERS = {
+    "VQF": OtherFilter("vqf", _vqf),
+    "Madgwick": OtherFilter("ahrs", _madgwick),
+    "Mahony": OtherFilter("ahrs", _mahony),
 }
-"""Functions of the signals and the time step [s]; rotations (K, 3, 3), body to x east, y north
-(magnetic), z up."""
 
 
 def _signals(recording: Recording) -> Signals:

@@ -90,6 +90,8 @@ class Section(BaseModel):
                     yield f"{name}.{key}", value, description
             else:
                 yield name, plain[name], " ".join((field.description or "").split())
+        for name in self.model_extra or ():  # of a filter of the user's own
+            yield name, plain[name], "A number of the filter."
 
     @model_validator(mode="before")
     @classmethod

@@ -71,6 +71,8 @@ def test_a_users_own_filter_has_its_numbers_by_name() -> None:
     assert own.filter.numbers == {"stiffness": 2.0, "leak": 0.5}
     changed = override(own, ["filter.leak=0.25"])
     assert changed.filter == OwnConfig(stiffness=2.0, leak=0.25)
+    described = {name: value for name, value, _ in changed.filter.described()}
+    assert described == {"kind": "own", "stiffness": 2.0, "leak": 0.25}
     assert changed != own
 
 

@@ -18,6 +18,7 @@ from matplotlib.text import Text
 
 import posegsa
 from posegsa.figures import schedule_figures, search
+from posegsa.figures.captioned import captioned
 from posegsa.figures import trajectory_figures as paths
 from posegsa.figures.result_figures import FIGURES as ALL
 from posegsa.model.fuzzy import FuzzyController
@@ -86,6 +87,11 @@ def test_every_figure_of_a_result_has_its_words():
         assert len(each.alternative) > 20
         assert len(each.caption) > 20
         assert each.title
+
+
+def test_a_figure_of_no_part_of_a_result_is_refused():
+    with pytest.raises(ValueError, match="lost: shows 'future'; allowed: one of"):
+        captioned([], name="lost", title="", caption="")(lambda future: None)
 
 
 def test_look_does_not_depend_on_the_users_settings():

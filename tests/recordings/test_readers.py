@@ -1,6 +1,7 @@
 """Recordings from files: small files in the published formats, written by these tests."""
 
 import csv
+import inspect
 import json
 import math
 from pathlib import Path
@@ -12,6 +13,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from posegsa.errors import MeasurementError, RecordingError
+from posegsa.recordings.readers import READERS
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.start import Start
 
@@ -24,6 +26,13 @@ def write_csv(path: Path, head: list[str], rows: object) -> Path:
         writer.writerow(head)
         writer.writerows(rows)  # type: ignore[arg-type]  # csv writes any objects
     return path
+
+
+@pytest.mark.parametrize("method", sorted(set(READERS.values())))
+def test_each_reader_takes_arguments_that_replace_what_a_file_says(method: str) -> None:
+    path, *_, more = inspect.signature(getattr(Recording, method)).parameters.values()
+    assert path.name == "path"
+    assert more.kind == inspect.Parameter.VAR_KEYWORD
 
 
 # CSV -----------------------------------------------------------------------------------------
