@@ -1,6 +1,5 @@
 """The documentation site: `sphinx-build -W --keep-going -b html docs docs/_build`."""
 
-import shutil
 import sys
 import warnings
 from html import escape
@@ -106,11 +105,13 @@ def after_napoleon(app, what, name, thing, options, lines):
 
 
 def copy_live_page(app, exception):
-    """The page that docs/live/build.py has built, as it is."""
+    """The page that docs/live/build.py has built, with a link to the site around it."""
     if exception is None and app.builder.format == "html":
         folder = Path(app.outdir) / "live"
         folder.mkdir(exist_ok=True)
-        shutil.copy(Path(app.srcdir) / "live" / "index.html", folder)
+        page = (Path(app.srcdir) / "live" / "index.html").read_text("utf-8")
+        link = '<p><a href="../index.html">posegsa</a></p>'
+        (folder / "index.html").write_text(page.replace("<header>", f"<header>{link}", 1), "utf-8")
 
 
 def setup(app):

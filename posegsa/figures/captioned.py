@@ -47,7 +47,10 @@ WHAT = {"unknown": "velocities' noise", "belief": "a sensor's variance"}
 """What each controller of a role multiplies; that of belief divides an observer's weight by it."""
 
 
-_PARTS = ("history", "unit", "recorded", "evaluation", "trajectory", "trust", "controller", "output")
+_PARTS = (
+    *("history", "unit", "recorded", "evaluation", "trajectory", "trust"),
+    *("controller", "output"),
+)
 """The arguments that a plot can have."""
 
 
