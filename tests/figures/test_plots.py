@@ -18,8 +18,8 @@ from matplotlib.text import Text
 
 import posegsa
 from posegsa.figures import schedule_figures, search
-from posegsa.figures.captioned import captioned
 from posegsa.figures import trajectory_figures as paths
+from posegsa.figures.captioned import captioned
 from posegsa.figures.result_figures import FIGURES as ALL
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.optimisers import History
