@@ -61,7 +61,7 @@ def plot_attitude_errors(replay: Replay) -> Figure | None:
         _, counted = _largest(errors.time, np.where(judged, known, np.nan))
         ax.plot(time, all_of_it, color="0.75", linewidth=0.8)
         ax.plot(time, counted, color=style.BLUE, linewidth=1.0)
-        style.error_panel(ax, f"{name} {unit}", _without_zeros(ax, finite(all_of_it)))
+        style.error_panel(ax, f"{name}\nerror {unit}", _without_zeros(ax, finite(all_of_it)))
     style.finish_time(axes, errors.time)
     return figure
 
