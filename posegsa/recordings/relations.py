@@ -411,7 +411,7 @@ def _axis_and_truth(q: Quantities, vector: Vector, k: int) -> float | None:
     if (force := true_force(q, vector)) is None:
         return None
     assert q.rotation is not None
-    known = np.broadcast_to(_given(vector.reference), vector.body.shape)
+    known = np.broadcast_to(given(vector.reference), vector.body.shape)
     up, found = np.einsum("kji,kj->ki", q.rotation, known)[:, k], []
     for expected in (up, up + force.pulled[:, k]):
         pair = np.stack([force.body[:, k] - expected, expected], axis=1)
@@ -470,7 +470,7 @@ def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Fo
     weighed = weighed[1:-1]
     whole = np.abs(time[2 * n :] - time[: -2 * n] - 2 * n * step) < step
     whole &= weighed[:, 3] > SPARSE
-    scale = _median_length(_given(vector.reference)) / GRAVITY
+    scale = _median_length(given(vector.reference)) / GRAVITY
     second = (P[2 * n :] - 2 * P[n:-n] + P[: -2 * n]) / (n * step) ** 2
     both = np.full((2, count, 3), np.nan)
     back = R[n:-n][whole]
@@ -479,9 +479,10 @@ def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Fo
     return Force(*both) if _finite(*both).sum() >= FEWEST else None
 
 
-def _given(reference: np.ndarray | None) -> np.ndarray:
-    assert reference is not None
-    return reference
+def given(a: np.ndarray | None) -> np.ndarray:
+    """An array that is known to be there."""
+    assert a is not None
+    return a
 
 
 def _means(a: np.ndarray, length: int) -> np.ndarray:
@@ -493,11 +494,11 @@ def _means(a: np.ndarray, length: int) -> np.ndarray:
 def _length(q: Quantities, vector: Vector) -> float | None:
     if _finite(vector.body).sum() < FEWEST:
         return None
-    known = max(_median_length(_given(vector.reference)), 1e-12)
+    known = max(_median_length(given(vector.reference)), 1e-12)
     sizes = [_median_length(one.body[_finite(one.body)]) for one in _meanings(q, vector)]
     if _is_calmed(q, vector):
-        there = _finite(_given(q.rotation), vector.body)
-        seen = np.einsum("kij,kj->ki", _given(q.rotation)[there], vector.body[there])
+        there = _finite(given(q.rotation), vector.body)
+        seen = np.einsum("kij,kj->ki", given(q.rotation)[there], vector.body[there])
         sizes += [_median_length(_means(seen, CALMED))] if there.sum() >= FEWEST else []
     return min(abs(np.log(max(size, 1e-12) / known)) for size in sizes)
 
@@ -557,7 +558,7 @@ def _two_vectors(q: Quantities, one: Vector, other: Vector) -> float | None:
         lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
         return np.sum(a * b, axis=-1) / np.where(lengths > 0, lengths, 1.0)
 
-    known = float(np.median(cosine(_given(one.reference), _given(other.reference))))
+    known = float(np.median(cosine(given(one.reference), given(other.reference))))
     found = []
     for first, second in itertools.product(_meanings(q, one), _meanings(q, other)):
         there = _finite(first.body, second.body)
