@@ -157,11 +157,6 @@ def load(folder: str | Path, *, filter: OwnFilter | None = None, edited: bool = 
     path = as_path("folder", folder)
     if path.is_file():
         raise RunFolderError(f"{path}: is a file; allowed: the folder of a run")
-    if (path / "recorded.json").exists() and not (path / RESULT).exists():
-        raise RunFolderError(
-            f"{path / 'recorded.json'}: written by a version of posegsa before 0.9; this version "
-            "has all in result.json: run it again, or read it with the version that wrote it"
-        )
     text = read_text(path, RESULT, of="finished run", limit=MAX_RESULT)
     how = "load(folder, edited=True), --edited"
     source = path / RESULT
