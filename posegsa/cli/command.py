@@ -89,9 +89,8 @@ def _main(arguments: Sequence[str] | None) -> int:
             with interrupt.immediate_signals(_say_stopping, _say_stopped):
                 return _run(options)
         except SaveError as error:
-            # Print the whole result, because it could not be written.
-            print(error.result.summary())
-            print(f"\n{_numbers(error.result)}")
+            # Print the whole result, with all digits, because it could not be written.
+            print(f"{error.result.summary()}\n\n{error.result.filter}")
             print(f"posegsa: {error}", file=sys.stderr)
             return 1
         except PosegsaError as error:
@@ -112,11 +111,6 @@ def _main(arguments: Sequence[str] | None) -> int:
 
 _UNUSABLE = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EACCES)
 """The system's errors about a path from the user that can't be used."""
-
-
-def _numbers(result) -> str:
-    """The parameters that a search found, with all digits."""
-    return str(result.filter)
 
 
 def _run(options: argparse.Namespace) -> int:

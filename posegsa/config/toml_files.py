@@ -16,7 +16,6 @@ from posegsa.config.changes import with_values
 from posegsa.config.experiment import Experiment
 from posegsa.config.reading import read_toml
 from posegsa.config.tunable import with_numbers
-from posegsa.errors import ConfigError
 from posegsa.optimisers import Optimiser
 from posegsa.settings.violations import Violation, config_error, violations_error
 
@@ -36,13 +35,7 @@ def load(path: str | Path) -> Experiment:
     allowed = "the path of a TOML file, or the name of a configuration"
     check_type("path", path, str, os.PathLike, allowed=allowed)
     path = shipped.path_of(path)
-    data = read_toml(path)
-    if data.keys() & {"vectors", "observer"}:
-        raise ConfigError(
-            f"{path}: has [vectors] and [observer] of the attitude filter before version 0.9; "
-            'allowed: an experiment with [filter] kind = "imu", as configs/imu.toml is now'
-        )
-    return _validated(data, f"{path} is not a valid experiment")
+    return _validated(read_toml(path), f"{path} is not a valid experiment")
 
 
 load_config = load  # its name in the package `posegsa`

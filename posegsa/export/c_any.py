@@ -21,16 +21,16 @@ from posegsa.arguments import fitting, refuse
 from posegsa.export.c_step import (
     Piece,
     References,
-    constants,
     directions_of,
     known_places,
     numbered,
     one_measurement,
     rotation_matrix,
     sample_of,
+    values_of,
     vec3,
 )
-from posegsa.export.c_text import KEYWORDS, comment, wrapped
+from posegsa.export.c_text import KEYWORDS, comment, sensors_in_words, wrapped
 from posegsa.export.scalar_loops import written_in_loops
 from posegsa.export.scalar_trace import Known, passed_on
 from posegsa.filters.attitude import REST_TIME, AttitudeFilter
@@ -44,7 +44,6 @@ from posegsa.model.estimate import FilterState
 from posegsa.model.sample import Sample
 from posegsa.model.schedules import Gains, GainSchedule, KnotGain, ScheduleInputs
 from posegsa.model.vectors import VectorSamples
-from posegsa.words import counted
 
 _ESTIMATE = ("attitude", "position", "bias_angular", "bias_linear", "vector_bias", "turning")
 """Fields of the struct that every state may have."""
@@ -114,25 +113,17 @@ def any_filter(
             "degrees": f"{math.degrees(float(filter.noise.initial_attitude)):.3g}",
             "metres": f"{float(filter.noise.initial_position):.3g}",
         }
-    codes = [piece.code for piece in step.pieces.values()]
-    return {
+    return values_of(step.pieces, step.numbers, known) | {
         "title": "an attitude filter" if step.alone else "a pose filter",
         "attitude_only": step.alone,
         "may_be_set": "" if step.alone else ", and set",
         "purpose": comment(_purpose(filter, known, states)),
-        "vectors": len(v),
-        "landmarks": len(p),
         "learns": step.learnt > 0,
         "turning": step.turning,
         "states": states,
         "start": start,
         "memory": step.memory,
-        "uses_time": any(code.mentions("now->time") for code in codes),
-        "uses_reach": any(code.mentions("farthest") for code in codes),
-        "constants": constants(step.pieces.values(), step.numbers, known),
-        "functions": sorted({"sqrt"}.union(*(code.functions for code in codes))),
-        "pieces": [piece for piece in step.pieces.values() if piece.code.statements],
-        "calls": {key: piece.call for key, piece in step.pieces.items()},
+        "uses_reach": any(piece.code.mentions("farthest") for piece in step.pieces.values()),
     }
 
 
@@ -443,13 +434,10 @@ def _purpose(filter: Filter, known: References, states: int) -> list[str]:
             "posegsa_init is given. The inertial frame is written into the step; posegsa_vectors "
             "only shows it. Filter: AttitudeFilter."
         )
-    sensors = [
-        counted(len(known.vectors), "vector") if len(known.vectors) else "",
-        counted(len(known.landmarks), "landmark") if len(known.landmarks) else "",
-    ]
+    sensors = sensors_in_words(len(known.vectors), len(known.landmarks))
     kind = f"Filter: {type(filter).__name__}"
     kind += f" with {states} states" if states else ""
     return wrapped(
-        f"From measured angular and linear velocity, {' and '.join(s for s in sensors if s)} of "
+        f"From measured angular and linear velocity, {sensors} of "
         f"known direction or place it estimates attitude and position. {kind}."
     )

@@ -22,13 +22,14 @@ from posegsa import config
 from posegsa.arguments import check_type, fitting, refuse
 from posegsa.export.c_any import any_filter
 from posegsa.export.c_gain import controller_values
-from posegsa.export.c_step import References, Step, constants, numbers, references
+from posegsa.export.c_step import References, Step, numbers, references, values_of
 from posegsa.export.c_text import (
     NAME,
     check_name,
     comment,
     origin,
     renamed,
+    sensors_in_words,
     settings_of,
     templates,
     whose_sensors,
@@ -150,32 +151,25 @@ def _observer(
         initial_gain = float(schedule.initial_gain())
     known = references(vectors, landmarks, settings)
     step = Step(known, settings, signal, schedule)
-    uses_time = any(piece.code.mentions("now->time") for piece in step.pieces.values())
-    functions = {"sqrt"}.union(*(piece.code.functions for piece in step.pieces.values()))
+    shared = values_of(step.pieces, step.numbers, known)
     kind = "an attitude" if step.attitude_only else "a pose"
-    values: dict[str, Any] = {
+    values = shared | {
         "title": f"{kind} filter with a scheduled gain",
         "attitude_only": step.attitude_only,
         "may_be_set": ", and set",
         "purpose": comment(_purpose(known, settings, step)),
-        "vectors": len(known.vectors),
-        "landmarks": len(known.landmarks),
         "substeps": settings.substeps,
         "learns": step.learns,
         "waits": step.waits,
         "turning": step.learns,
-        "uses_time": uses_time or isinstance(schedule, KnotGain),
         "fuzzy": isinstance(schedule, FuzzyGain),
-        "constants": constants(step.pieces.values(), step.numbers, known),
-        "functions": sorted(functions | ({"exp"} if isinstance(schedule, KnotGain) else set())),
-        "pieces": [piece for piece in step.pieces.values() if piece.code.statements],
-        "calls": {key: piece.call for key, piece in step.pieces.items()},
         "initial_gain": repr(initial_gain),
         "unknown": None if signal.unknown is None else repr(float(signal.unknown.start)),
         "controller": "",
         "knots": "",
     }
     if isinstance(schedule, KnotGain):
+        values |= {"uses_time": True, "functions": sorted({"exp", *shared["functions"]})}
         values["knots"] = templates().get_template("knots.c").render(_knots(schedule))
     if isinstance(schedule, FuzzyGain):
         controller = controller_values(schedule.controller)
@@ -232,10 +226,7 @@ def _knots(schedule: KnotGain) -> dict[str, object]:
 
 def _purpose(known: References, settings: FilterSettings, step: Step) -> Sequence[str]:
     """A description of the filter's inputs and outputs."""
-    sensors = [
-        counted(len(known.vectors), "vector") if len(known.vectors) else "",
-        counted(len(known.landmarks), "landmark") if len(known.landmarks) else "",
-    ]
+    sensors = sensors_in_words(len(known.vectors), len(known.landmarks))
     rates = "angular velocity" if step.attitude_only else "angular and linear velocity"
     out = "attitude" if step.attitude_only else "attitude and position"
     biases = "bias of the angular velocity" if step.attitude_only else "biases of both velocities"
@@ -243,7 +234,7 @@ def _purpose(known: References, settings: FilterSettings, step: Step) -> Sequenc
         biases += " and of the vectors"
     return wrapped(
         f"The filter estimates {out}, and also the {biases}. It uses the measured {rates}, and "
-        f"{' and '.join(filter(None, sensors))} of known "
+        f"{sensors} of known "
         f"{'direction' if step.attitude_only else 'direction or position'}. "
         f"Law: {settings.law}; {counted(settings.substeps, 'sub-step')} per sample. The "
         f"equations are in posegsa/filters/observer.py."

@@ -6,7 +6,7 @@ space, a `static const`, or a number if the filter does not have that scalar.
 """
 
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -477,17 +477,30 @@ def _wanted(record: Any) -> Any:
     return jax.tree.map(lambda leaf: leaf if isinstance(leaf, str) else None, record)
 
 
-def constants(
-    pieces: Iterable[Piece], named: Iterable[tuple[Known, str]], known: References
-) -> str:
+def values_of(
+    pieces: Mapping[str, Piece], named: Iterable[tuple[Known, str]], known: References
+) -> dict[str, Any]:
+    """The values that the templates of all filters have; arguments as of `_constants`."""
+    codes = [piece.code for piece in pieces.values()]
+    return {
+        "vectors": len(known.vectors),
+        "landmarks": len(known.landmarks),
+        "uses_time": any(code.mentions("now->time") for code in codes),
+        "constants": _constants(codes, named, known),
+        "functions": sorted({"sqrt"}.union(*(code.functions for code in codes))),
+        "pieces": [piece for piece in pieces.values() if piece.code.statements],
+        "calls": {key: piece.call for key, piece in pieces.items()},
+    }
+
+
+def _constants(codes: Sequence[Code], named: Iterable[tuple[Known, str]], known: References) -> str:
     """The constants that a step uses, as `static const`.
 
     Args:
-        pieces: The functions of the step.
+        codes: The functions of the step.
         named: The numbers of the filter with their comments.
         known: The references of its sensors.
     """
-    codes = [piece.code for piece in pieces]
 
     def used(name: str) -> bool:
         return any(code.mentions(name) for code in codes)

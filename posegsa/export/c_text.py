@@ -23,61 +23,16 @@ wrapped = partial(textwrap.wrap, width=96, break_long_words=False, break_on_hyph
 NAME = "posegsa"
 """Prefix of the names in the templates, and in a file by default."""
 KEYWORDS = frozenset(
-    [
-        "auto",
-        "break",
-        "case",
-        "char",
-        "const",
-        "continue",
-        "default",
-        "do",
-        "double",
-        "else",
-        "enum",
-        "extern",
-        "float",
-        "for",
-        "goto",
-        "if",
-        "inline",
-        "int",
-        "long",
-        "register",
-        "restrict",
-        "return",
-        "short",
-        "signed",
-        "sizeof",
-        "static",
-        "struct",
-        "switch",
-        "typedef",
-        "union",
-        "unsigned",
-        "void",
-        "volatile",
-        "while",
-        "class",
-        "new",
-        "delete",
-        "this",
-        "public",
-        "private",
-        "template",
-        "namespace",
-        "using",
-        "bool",
-        "true",
-        "false",
-        "try",
-        "catch",
-        "throw",
-        "operator",
-        "friend",
-        "virtual",
-    ]
+    {
+        *("auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else"),
+        *("enum", "extern", "float", "for", "goto", "if", "inline", "int", "long", "register"),
+        *("restrict", "return", "short", "signed", "sizeof", "static", "struct", "switch"),
+        *("typedef", "union", "unsigned", "void", "volatile", "while"),
+        *("class", "new", "delete", "this", "public", "private", "template", "namespace", "using"),
+        *("bool", "true", "false", "try", "catch", "throw", "operator", "friend", "virtual"),
+    }
 )
+"""Those of C, then those of C++."""
 
 
 def check_name(name: object) -> None:
@@ -119,6 +74,12 @@ def comment(lines: Iterable[str]) -> str:
     """Lines of a block comment; comment marks within them are broken up."""
     safe = (line.replace("*/", "* /").replace("/*", "/ *") for line in lines)
     return "\n".join(f" * {line}".rstrip() for line in safe)
+
+
+def sensors_in_words(vectors: int, landmarks: int) -> str:
+    """How many sensors a filter knows, such as "2 vectors and 1 landmark"."""
+    each = [(vectors, "vector"), (landmarks, "landmark")]
+    return " and ".join(counted(count, name) for count, name in each if count)
 
 
 def origin(result: Result) -> list[str]:

@@ -70,16 +70,15 @@ from posegsa.filters.attitude_covariance import (
     STATES,
     UP,
     VELOCITY,
-    Covariance,
     Found,
     corrected,
-    entry_of,
     forgotten,
     propagated,
     turned,
     turned_about_up,
 )
 from posegsa.filters.base import Record, Samples, Sensors
+from posegsa.filters.covariance import Covariance, entry_of
 from posegsa.model.elementwise import choose, maximum, minimum, only_if
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements

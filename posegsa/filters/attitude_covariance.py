@@ -10,10 +10,8 @@ from functools import partial
 import jax.numpy as jnp
 from jax import Array
 
+from posegsa.filters.covariance import Covariance, entry_of
 from posegsa.model.se3 import Matrix3, Vec3, dot, scale, subtract
-
-Covariance = tuple[tuple[Array, ...], ...]
-"""Upper triangle of a symmetric matrix: row i holds its entries (i, i), (i, i + 1), ..."""
 
 EAST, NORTH, UP = 0, 1, 2
 """States of the attitude error, about each axis."""
@@ -22,11 +20,6 @@ BIAS, VELOCITY, STATES = 3, 6, 8
 
 Found = tuple[Covariance, tuple[Array, ...]]
 """The covariance and the correction x after the measurements of a sample so far."""
-
-
-def entry_of(covariance: Covariance, i: int, j: int) -> Array:
-    """The entry (i, j), of either half."""
-    return covariance[i][j - i] if i <= j else covariance[j][i - j]
 
 
 def corrected(found: Found, state: int, residual: Array, noise: Array, weight: Array) -> Found:

@@ -14,10 +14,9 @@ from typing import Any, Literal, NamedTuple
 
 from jax import Array, lax
 
-from posegsa.filters.covariance import ANGULAR, VECTORS, Covariance, Row, entry, product
+from posegsa.filters.covariance import ANGULAR, VECTORS, Covariance, Row, entry_of, product
 from posegsa.filters.measurement_model import (
     apart,
-    each_vector,
     landmark_rows,
     stacked,
     variance_of,
@@ -88,7 +87,7 @@ def residuals(
             return 0.0
 
         def column(h: Row, j: int) -> Array:
-            return product(h, lambda i: entry(known, i, j))
+            return product(h, lambda i: entry_of(known, i, j))
 
         return reduce(operator.add, (product(h, partial(column, h)) for h in each))
 
@@ -97,8 +96,8 @@ def residuals(
         if covariance is None or not learnt:
             return None
         first = VECTORS + 3 * i
-        beside = [[entry(covariance, j, first + axis) for j in axes] for axis in axes]
-        own = reduce(operator.add, (entry(covariance, first + a, first + a) for a in axes))
+        beside = [[entry_of(covariance, j, first + axis) for j in axes] for axis in axes]
+        own = reduce(operator.add, (entry_of(covariance, first + a, first + a) for a in axes))
         return beside, own
 
     def by_vector(nothing: tuple[()], given: Any) -> Any:
@@ -118,7 +117,7 @@ def residuals(
         return nothing, residual(spread(each), off, landmark, seen.factor)
 
     of_vectors = of_landmarks = None
-    if vectors := each_vector(sample):
+    if vectors := sample.vectors.each:
         biased = stacked(map(of_bias, range(len(vectors))))
         _, of_vectors = lax.scan(by_vector, (), (with_biases(vectors, estimate), biased))
     if sample.landmarks:
@@ -220,7 +219,7 @@ def over_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
         return tuple(factor / least for factor in of_kind)
 
     return Factors(
-        relative(each_vector(sample), factors.vectors),
+        relative(sample.vectors.each, factors.vectors),
         relative(sample.landmarks, factors.landmarks),
     )
 
@@ -231,6 +230,6 @@ def as_believed(sample: Sample, factors: Factors) -> Sample:
         [sensor.factor for sensor in sensors]
         if by is None
         else [sensor.factor / factor for sensor, factor in zip(sensors, by, strict=True)]
-        for sensors, by in zip((each_vector(sample), sample.landmarks), factors, strict=True)
+        for sensors, by in zip((sample.vectors.each, sample.landmarks), factors, strict=True)
     ]
     return weighted(sample, *weights)

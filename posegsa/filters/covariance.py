@@ -64,7 +64,7 @@ class Found(NamedTuple):
     """How many scalars have been measured, the degrees of freedom of `nis`."""
 
 
-def entry(covariance: Covariance, i: int, j: int) -> Array:
+def entry_of(covariance: Covariance, i: int, j: int) -> Array:
     """Entry (i, j), on either side of the diagonal."""
     return covariance[i][j - i] if i <= j else covariance[j][i - j]
 
@@ -72,7 +72,7 @@ def entry(covariance: Covariance, i: int, j: int) -> Array:
 def matrix(covariance: Covariance, count: int) -> Array:
     """The first `count` rows and columns, (..., count, count)."""
     every = range(count)
-    return jnp.stack([stack(tuple(entry(covariance, i, j) for j in every)) for i in every], -2)
+    return jnp.stack([stack(tuple(entry_of(covariance, i, j) for j in every)) for i in every], -2)
 
 
 def product(row: Row, column: Callable[[int], Array]) -> Array:
@@ -104,7 +104,7 @@ def by_components(
     parts: list[list[Array]] = []
     for h, off in zip(each, residual, strict=True):
         # Sigma h^T: the Kalman gain times `total`.
-        gain = [product(h, lambda j, i=i, h=h: entry(covariance, i, j)) for i in every]
+        gain = [product(h, lambda j, i=i, h=h: entry_of(covariance, i, j)) for i in every]
         for earlier, part in zip(gains, parts, strict=True):
             taken = product(h, part.__getitem__)
             gain = [g - taken * e for g, e in zip(gain, earlier, strict=True)]
@@ -143,7 +143,7 @@ def next_vector_first(found: Found) -> Found:
     biases = range(VECTORS, len(found.covariance))
     order += [*biases[3:], *biases[:3]]
     covariance = tuple(
-        tuple(entry(found.covariance, order[i], order[j]) for j in range(i, len(order)))
+        tuple(entry_of(found.covariance, order[i], order[j]) for j in range(i, len(order)))
         for i in range(len(order))
     )
     correction = tuple(found.correction[i] for i in order)
@@ -178,7 +178,7 @@ def _half_way(correction: Sequence[Array]) -> tuple[Quaternion, Vec3]:
 def _turned(covariance: Covariance, R: Matrix3, P: Vec3) -> Covariance:
     """The covariance after xi <- Ad((R, P)^-1) xi."""
     every = range(len(covariance))
-    left = [_adjoint(R, P, [entry(covariance, i, j) for i in range(ANGULAR)]) for j in every]
+    left = [_adjoint(R, P, [entry_of(covariance, i, j) for i in range(ANGULAR)]) for j in every]
     pose = [_adjoint(R, P, [left[j][i] for j in range(ANGULAR)]) for i in range(ANGULAR)]
     return tuple(
         tuple(pose[i][j] if j < ANGULAR else left[j][i] for j in every[i:])
@@ -208,7 +208,7 @@ def _less_bias(covariance: Covariance, factor: Array) -> Covariance:
     """The covariance after xi <- xi - factor b."""
     every, pose = range(len(covariance)), range(ANGULAR)
     beside = [
-        [entry(covariance, i, j) - factor * entry(covariance, ANGULAR + i, j) for j in every]
+        [entry_of(covariance, i, j) - factor * entry_of(covariance, ANGULAR + i, j) for j in every]
         for i in pose
     ]  # the biases' columns are complete, those of xi lack the bias's share
     return tuple(

@@ -93,7 +93,6 @@ from posegsa.filters.covariance import (
 )
 from posegsa.filters.leads import LEAD_KEYS, LastSample, Leads, extrapolated, no_sample
 from posegsa.filters.measurement_model import (
-    each_vector,
     landmark_rows,
     measured_error,
     stacked,
@@ -108,7 +107,6 @@ from posegsa.filters.noise_schedules import (
     NoiseGains,
     NoiseMemory,
     NoiseSignals,
-    PreparedNoiseGains,
     initial_noise_memory,
     noise_factor,
 )
@@ -117,6 +115,7 @@ from posegsa.model.elementwise import maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import LandmarkSample, Sample, prepare
+from posegsa.model.schedules import PreparedSchedule
 from posegsa.model.se3 import (
     Vec3,
     add,
@@ -292,10 +291,13 @@ class KalmanFilter:
 
     def ready(self) -> "ReadyKalmanFilter":
         """The filter with its schedules prepared (slopes and overlaps of the terms)."""
-        schedule = self.schedule.prepare()
+        unknown, vectors, landmarks = (
+            None if one is None else one.prepare() for one in self.schedule
+        )
         return ReadyKalmanFilter(
             self.noise,
-            schedule,
+            unknown,
+            (vectors, landmarks),
             self.signals,
             self.belief_input,
             self.iterations,
@@ -309,7 +311,10 @@ class ReadyKalmanFilter(NamedTuple):
     """A `KalmanFilter` prepared for the loop."""
 
     noise: KalmanNoise
-    schedule: PreparedNoiseGains
+    unknown: PreparedSchedule | None
+    """The schedule of that role (`NoiseGains`)."""
+    beliefs: tuple[PreparedSchedule | None, PreparedSchedule | None]
+    """The schedules of belief in vectors and in landmarks."""
     signals: NoiseSignals | None
     belief_input: BeliefInput
     iterations: int
@@ -333,7 +338,7 @@ class ReadyKalmanFilter(NamedTuple):
         moving = found.correction if self.moves_covariance else None
         record = record._replace(nis=found.nis, scalars=found.scalars)
         after = propagate(updated, moving, sample, noise)
-        if self.schedule.unknown is not None and after.estimate.vector_biases:
+        if self.unknown is not None and after.estimate.vector_biases:
             after = forgotten(after, sample.time_step, self.noise, noise.vector_walk)
         return after, record
 
@@ -351,12 +356,12 @@ class ReadyKalmanFilter(NamedTuple):
         """The sample with the weights that its residuals leave, the noises, and the memory."""
         sample, noise, memory = now.sample, self.noise, state.memory
         on_time, record = (now.time, sample.time_step), Record()
-        if self.schedule.vectors is not None or self.schedule.landmarks is not None:
+        if any(self.beliefs):
             sample, memory = self._believed(signals, state, sample, on_time)
-        if self.schedule.unknown is not None and memory.unknown:
+        if self.unknown is not None and memory.unknown:
             error, seen = measured_error(state.estimate, sample, noise.vector, noise.landmark)
             factor, unknown, inputs = noise_factor(
-                self.schedule.unknown, signals.unknown, memory.unknown, error, seen, *on_time
+                self.unknown, signals.unknown, memory.unknown, error, seen, *on_time
             )
             noise = noise._replace(
                 angular_velocity=factor * noise.angular_velocity,
@@ -378,8 +383,8 @@ class ReadyKalmanFilter(NamedTuple):
         noise, memory = self.noise, state.memory
         known = state.estimate, state.covariance, sample, noise.vector, noise.landmark
         each = residuals(*known, of=self.belief_input)
-        schedules, before = self.schedule[1:], BeliefMemory(*memory[1:])
-        factors, after = belief_factors(schedules, signals.belief, before, each, *on_time)
+        before = BeliefMemory(*memory[1:])
+        factors, after = belief_factors(self.beliefs, signals.belief, before, each, *on_time)
         return as_believed(sample, factors), KalmanMemory(memory.unknown, *after)
 
 
@@ -390,7 +395,7 @@ def _scaled(sample: Sample, vectors: Sequence[float], landmarks: Sequence[float]
         each = [*scales, *(1.0,) * len(sensors)]
         return [one.factor / (s * s) for one, s in zip(sensors, each, strict=False)]
 
-    seen = weights(each_vector(sample), vectors), weights(sample.landmarks, landmarks)
+    seen = weights(sample.vectors.each, vectors), weights(sample.landmarks, landmarks)
     return weighted(sample, *seen)
 
 
@@ -464,7 +469,7 @@ def _linear_update(
         variance = variance_of(noise.landmark, landmark.factor)
         return by_components(found, each, residual, variance, landmark.factor), None
 
-    if vectors := each_vector(sample):
+    if vectors := sample.vectors.each:
         found, _ = lax.scan(by_vector, found, with_biases(vectors, estimate))
     if sample.landmarks:
         found, _ = lax.scan(by_landmark, found, stacked(sample.landmarks))

@@ -10,13 +10,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from posegsa.errors import ArgumentError
 from posegsa.filters.covariance import VECTORS, Row
 from posegsa.model.elementwise import choose, maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.sample import LandmarkSample, Sample
 from posegsa.model.se3 import Matrix3, Vec3, add, dot, rows, safe_sqrt, subtract, unrotate
-from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
+from posegsa.model.vectors import VectorSample, VectorSamples
 
 
 def vector_rows(R: Matrix3, vector: VectorSample, bias: Vec3 | None) -> tuple[list[Row], Vec3]:
@@ -37,19 +36,6 @@ def landmark_rows(R: Matrix3, place: Vec3, landmark: LandmarkSample) -> tuple[li
         per_theta | {3 + axis: -1.0} for axis, per_theta in enumerate(_cross_rows(expected))
     ]
     return each, subtract(landmark.body, expected)
-
-
-def each_vector(sample: Sample) -> tuple[VectorSample, ...]:
-    """The vectors of a sample one by one.
-
-    Raises:
-        ArgumentError: The sample holds only Wahba's sums of its vectors.
-    """
-    if isinstance(sample.vectors, Wahba):
-        raise ArgumentError(
-            "the filter needs each vector as measured: make its samples with its `prepare`"
-        )
-    return sample.vectors.each
 
 
 def with_biases(vectors: tuple[VectorSample, ...], estimate: FilterState) -> Any:
@@ -89,7 +75,7 @@ def measured_error(
         return add(sums, off, landmark, seen.factor)
 
     sums = zero, zero
-    if vectors := each_vector(sample):
+    if vectors := sample.vectors.each:
         sums, _ = lax.scan(by_vector, sums, with_biases(vectors, estimate))
     if sample.landmarks:
         sums, _ = lax.scan(by_landmark, sums, stacked(sample.landmarks))

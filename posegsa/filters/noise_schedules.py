@@ -101,20 +101,8 @@ class NoiseGains(NamedTuple):
     landmarks: GainSchedule | None = None
     """Belief in each landmark: its variance."""
 
-    def prepare(self) -> "PreparedNoiseGains":
-        """The schedules, with everything precomputed that is the same at every sample."""
-        return PreparedNoiseGains(*(None if one is None else one.prepare() for one in self))
-
 
 NO_NOISE_GAINS = NoiseGains()
-
-
-class PreparedNoiseGains(NamedTuple):
-    """`NoiseGains` prepared for a loop."""
-
-    unknown: PreparedSchedule | None
-    vectors: PreparedSchedule | None
-    landmarks: PreparedSchedule | None
 
 
 def initial_noise_memory(schedule: GainSchedule, like: Array) -> NoiseMemory:

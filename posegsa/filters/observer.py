@@ -681,8 +681,8 @@ def _with_value(
             return settings, replace(signal, unknown=unknown)
         case ["bias_wait"]:
             return replace(settings, per_bias_wait=1 / value**2), signal
-        case ["length_growth"]:
-            return replace(settings, length_growth=value), signal
+        case ["length" | "length_growth" | "gain_limit" as name]:
+            return replace(settings, **{name: value}), signal
         case ["gamma"]:
             return replace(settings, gamma_angular=value, gamma_linear=value), signal
         case ["gamma", "0"]:
@@ -693,10 +693,6 @@ def _with_value(
             return replace(settings, per_angular_bias_bound=1 / value**2), signal
         case ["bias_bound", "1"]:
             return replace(settings, per_linear_bias_bound=1 / value**2), signal
-        case ["length"]:
-            return replace(settings, length=value), signal
-        case ["gain_limit"]:
-            return replace(settings, gain_limit=value), signal
         case ["cross_vector_weight"]:
             return replace(settings, vectors=replace(settings.vectors, cross_weight=value)), signal
         case ["scenario", "vectors", index, "weight"]:

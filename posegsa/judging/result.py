@@ -34,7 +34,7 @@ from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.optimisers import History
 from posegsa.recordings.frames import UP, Frame, known_frame
-from posegsa.recordings.imu import as_read_by, references
+from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
 from posegsa.search.candidates import Candidate
@@ -178,13 +178,7 @@ class Result:
                 "filter_to_c with result.filter_on(recording)",
             )
         if self.filter.kind == "imu":
-            return KnownSensors(
-                vectors=[(x, y, z) for x, y, z in references().tolist()],
-                vector_weights=[1.0, 1.0],
-                landmarks=[],
-                landmark_weights=[],
-                attitude_only=True,
-            )
+            return of_frame("ENU")
         return of_scenario(self.experiment)
 
     @property

@@ -230,6 +230,13 @@ def finite_rows(values: np.ndarray) -> np.ndarray:
     return _every(np.isfinite(values))
 
 
+def known_means(parts: np.ndarray) -> np.ndarray:
+    """Means (n, d) of the finite rows of each part (n, k, d); NaN where there is none."""
+    known = finite_rows(parts)[..., None]
+    count = known.sum(axis=1)
+    return np.where(known, parts, 0.0).sum(axis=1) / np.where(count > 0, count, np.nan)
+
+
 def _every(rows: np.ndarray) -> np.ndarray:
     return reduce(np.logical_and, np.moveaxis(rows, -1, 0))
 

@@ -21,7 +21,7 @@ from posegsa.errors import RecordingError
 from posegsa.filters.rollout import Estimates
 from posegsa.model.measurements import finite_array
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.rotations import product, quaternions
+from posegsa.recordings.rotations import inverse, product, quaternions
 from posegsa.settings.arrays import Numbers
 
 BLOCK, FEWEST_BLOCKS = 5.0, 4
@@ -122,7 +122,7 @@ def attitude_errors(estimated: ArrayLike, true: ArrayLike) -> AttitudeErrors:
     ref = finite_array("true", true, (len(est), 3, 3), finite=False)
     # A filter that diverged may return infinities; NumPy warns about their differences.
     est = np.where(np.isfinite(est).all(axis=(1, 2), keepdims=True), est, np.nan)
-    w, x, y, z = product(quaternions(est), quaternions(ref) * [1, -1, -1, -1]).T
+    w, x, y, z = product(quaternions(est), inverse(quaternions(ref))).T
     # The arc cosines of the module docstring, in a form that is accurate for small errors.
     total = np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w))
     inclination = np.arctan2(np.hypot(x, y), np.hypot(w, z))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from posegsa.recordings.relations import FEWEST, Quantities
-from posegsa.recordings.rotations import product, quaternions
+from posegsa.recordings.rotations import inverse, product, quaternions
 
 LATE = 0.025
 """Delay above which a sensor is named [s]."""
@@ -186,7 +186,7 @@ def _rate(q: Quantities, reach: int) -> np.ndarray:
     attitude[known] = quaternions(q.rotation[known])
     found = np.full((len(q.time), 3), np.nan)
     if len(attitude) > 2 * reach:
-        turn = product(attitude[: -2 * reach] * [1, -1, -1, -1], attitude[2 * reach :])
+        turn = product(inverse(attitude[: -2 * reach]), attitude[2 * reach :])
         turn = np.where(turn[:, :1] < 0, -turn, turn)
         sine = np.linalg.norm(turn[:, 1:], axis=1)
         angle = 2 * np.arctan2(sine, turn[:, 0])

@@ -3,14 +3,14 @@
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from posegsa.recordings.frames import GRAVITY, UP, Frame
-from posegsa.recordings.relations import AXES, Quantities, Vector, misfits, north_of
+from posegsa.recordings.relations import AXES, Quantities, Vector, given, misfits, north_of
 from posegsa.recordings.rotations import matrices, quaternions, to_east_north_up
 
 FITS, FITTED = 0.35, 0.1
@@ -20,8 +20,9 @@ LENGTHS = ("cm", 100.0), ("mm", 1000.0)
 """Units that are taken for metres, with their number in a metre."""
 MIRRORED = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
 """From north-east-down to east-north-up, and back."""
-TURNING, MOVING, TRUTH = "gyroscope|velocities", "velocity|velocities", "truth"
-"""Names of the relations of the gyroscope, of the velocity and of the truth."""
+TRUTH = "truth"
+"""Name of the relations of the truth."""
+Change = Callable[[np.ndarray], np.ndarray]
 
 
 class Hypothesis(NamedTuple):
@@ -39,60 +40,78 @@ class Hypothesis(NamedTuple):
     """Largest misfit of the relation that improves most, without the mistake."""
 
 
+class _Part(NamedTuple):
+    """A part of the quantities whose numbers may be mistaken."""
+
+    name: str
+    of: str
+    """As in `Hypothesis`."""
+    changed: Callable[[Quantities, Change], Quantities]
+    """Applies a function to its numbers."""
+
+    def mistake(self, words: str, change: Change, complexity: int = 1) -> Hypothesis:
+        """A mistake that a function of its numbers undoes."""
+        return Hypothesis(words, lambda q: self.changed(q, change), complexity, self.of)
+
+    def units(
+        self, looks: str, units: Iterable[tuple[str, float]], complexity: int = 1
+    ) -> Iterator[Hypothesis]:
+        """Other units, each with its number in the right one."""
+        for unit, factor in units:
+            words = f"{self.name} {looks} like {unit}: divide by {factor:g}"
+            yield self.mistake(words, lambda a, factor=factor: a / factor, complexity)
+
+    def axes(self, more: int = 0) -> Iterator[Hypothesis]:
+        """All ways to exchange its axes and to change their signs; `more` adds to complexity."""
+        for words, sign in _turned_axes():
+            yield self.mistake(
+                f"{self.name}: {words}", lambda a, sign=sign: a @ sign.T, more + _changes(sign)
+            )
+
+
+def _field(name: str, of: str, field: str) -> _Part:
+    """A field of the quantities as a part."""
+    return _Part(name, of, lambda q, change: q.changed(**{field: change(getattr(q, field))}))
+
+
+GYROSCOPE = _field("angular_velocity", "gyroscope|velocities", "gyroscope")
+VELOCITY = _field("velocity", "velocity|velocities", "velocity")
+TIME = _field("the time stamps", f"{GYROSCOPE.of}|{VELOCITY.of}", "time")
+ROTATION = _field("the true rotation", TRUTH, "rotation")
+POSITION = _field("the true position", TRUTH, "position")
+LANDMARKS = _Part(
+    "landmarks",
+    "landmark",
+    lambda q, change: q.changed(landmarks=tuple(map(change, q.landmarks))),
+)
+
+
 def hypotheses(q: Quantities) -> Iterator[Hypothesis]:
     """All mistakes that the relations of these quantities can reveal."""
     degree = math.pi / 180
-    yield Hypothesis(
-        "angular_velocity looks like deg/s: divide by 57.3",
-        lambda q: q.changed(gyroscope=q.gyroscope * degree),
-        1,
-        TURNING,
+    yield GYROSCOPE.mistake(
+        "angular_velocity looks like deg/s: divide by 57.3", lambda w: w * degree
     )
-    yield Hypothesis(
+    yield GYROSCOPE.mistake(
         "angular_velocity looks as if it had been divided by 57.3 once too often: multiply by that",
-        lambda q: q.changed(gyroscope=q.gyroscope / degree),
-        1,
-        TURNING,
+        lambda w: w / degree,
     )
     for k, axis in enumerate(AXES):
-        yield Hypothesis(
+        yield GYROSCOPE.mistake(
             f"the {axis} axis of angular_velocity alone looks like deg/s: divide it by 57.3",
-            lambda q, k=k: q.changed(
-                gyroscope=q.gyroscope * np.where(np.arange(3) == k, degree, 1.0)
-            ),
+            lambda w, k=k: w * np.where(np.arange(3) == k, degree, 1.0),
             2,
-            TURNING,
         )
     for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
-        yield Hypothesis(
+        yield TIME.mistake(
             f'the time stamps look like {unit}: set time_unit = "{unit}" in the TOML file beside '
             "the recording",
-            lambda q, factor=factor: q.changed(time=q.time * factor),
-            1,
-            f"{TURNING}|{MOVING}",
+            lambda t, factor=factor: t * factor,
         )
-    for words, sign in _turned_axes():
-        yield Hypothesis(
-            f"angular_velocity: {words}",
-            lambda q, sign=sign: q.changed(gyroscope=q.gyroscope @ sign.T),
-            _changes(sign),
-            TURNING,
-        )
+    yield from GYROSCOPE.axes()
     if q.velocity is not None:
-        for unit, factor in (("km/h", 3.6), ("cm/s", 100.0), ("mm/s", 1000.0)):
-            yield Hypothesis(
-                f"velocity looks like {unit}: divide by {factor:g}",
-                lambda q, factor=factor: q.changed(velocity=_of(q.velocity) / factor),
-                1,
-                MOVING,
-            )
-        for words, sign in _turned_axes():
-            yield Hypothesis(
-                f"velocity: {words}",
-                lambda q, sign=sign: q.changed(velocity=_of(q.velocity) @ sign.T),
-                _changes(sign),
-                MOVING,
-            )
+        yield from VELOCITY.units("looks", (("km/h", 3.6), ("cm/s", 100.0), ("mm/s", 1000.0)))
+        yield from VELOCITY.axes()
     if q.rotation is not None:
         yield from _of_truth(q)
     for i, vector in enumerate(q.vectors):
@@ -108,83 +127,58 @@ def hypotheses(q: Quantities) -> Iterator[Hypothesis]:
     yield from _of_landmarks(q)
 
 
-def _of(a: np.ndarray | None) -> np.ndarray:
-    assert a is not None
-    return a
-
-
 def _of_truth(q: Quantities) -> Iterator[Hypothesis]:
-    yield Hypothesis(
+    yield ROTATION.mistake(
         "the true rotation looks inverse: it must map body to inertial coordinates (transpose it, "
         "or conjugate the quaternion)",
-        lambda q: q.changed(rotation=_of(q.rotation).transpose(0, 2, 1)),
-        1,
-        TRUTH,
+        lambda R: R.transpose(0, 2, 1),
     )
-    yield Hypothesis(
+    yield ROTATION.mistake(
         "the true quaternion looks as if its scalar came last: posegsa reads (w, x, y, z)",
-        lambda q: q.changed(rotation=_scalar_last(_of(q.rotation))),
-        1,
-        TRUTH,
+        _scalar_last,
     )
-    yield Hypothesis(
+    yield ROTATION.mistake(
         "the true quaternion looks inverse and as if its scalar came last: posegsa reads "
         "(w, x, y, z), body to inertial",
-        lambda q: q.changed(rotation=_scalar_last(_of(q.rotation)).transpose(0, 2, 1)),
+        lambda R: _scalar_last(R).transpose(0, 2, 1),
         3,
-        TRUTH,
     )
     for words, axes in _turned_axes():
         if np.linalg.det(axes) > 0:
-            yield Hypothesis(
+            yield ROTATION.mistake(
                 "the true rotation looks like that of other body axes than the sensors': its "
                 f"(x, y, z) are their {words.split('should be ')[-1].rstrip(')')})",
-                lambda q, axes=axes: q.changed(rotation=_of(q.rotation) @ axes),
+                lambda R, axes=axes: R @ axes,
                 2,
-                TRUTH,
             )
-    yield Hypothesis(
+    yield GYROSCOPE.mistake(
         "angular_velocity looks as if it were in the inertial frame: the filter needs it in the "
         "body frame, R^T omega",
-        lambda q: q.changed(gyroscope=_all_to_body(q, q.gyroscope)),
-        1,
-        TURNING,
+        lambda w: _all_to_body(q, w),
     )
     if q.position is not None:
-        for unit, factor in LENGTHS:
-            yield Hypothesis(
-                f"the true position looks like {unit}: divide by {factor:g}",
-                lambda q, factor=factor: q.changed(position=_of(q.position) / factor),
-                1,
-                TRUTH,
-            )
-        yield Hypothesis(
+        yield from POSITION.units("looks", LENGTHS)
+        yield POSITION.mistake(
             "the true position looks north-east-down, not east-north-up like the rest: (x, y, z) "
             "is (y, x, -z) in the other",
-            lambda q: q.changed(position=_of(q.position) @ MIRRORED),
+            lambda P: P @ MIRRORED,
             2,
-            TRUTH,
         )
     yield from _of_frame(q)
     if (frame := _frame_of_references(q)) is not None:
         turn, offset, words = frame
         yield Hypothesis(
             f"the truth looks as if it were in another inertial frame than the references: {words}",
-            lambda q: q.changed(
-                rotation=turn @ _of(q.rotation),
-                position=None if q.position is None else q.position @ turn.T + offset,
-            ),
+            lambda q: _in_frame(q, turn, offset),
             5,
             TRUTH,
             FITTED,
         )
     if q.velocity is not None:
-        yield Hypothesis(
+        yield VELOCITY.mistake(
             "velocity looks as if it were in the inertial frame: the filter needs it in the body "
             "frame, R^T v",
-            lambda q: q.changed(velocity=_all_to_body(q, _of(q.velocity))),
-            1,
-            MOVING,
+            lambda v: _all_to_body(q, v),
         )
 
 
@@ -210,35 +204,31 @@ def _of_frame(q: Quantities) -> Iterator[Hypothesis]:
         yield Hypothesis(
             f'the truth looks like {words}: --frame {frame}, or the line frame = "{frame}" in the '
             f"TOML file beside the recording{also}",
-            lambda q, turn=turn: q.changed(
-                rotation=turn @ _of(q.rotation),
-                position=None if q.position is None else q.position @ turn.T,
-            ),
+            lambda q, turn=turn: _in_frame(q, turn, np.zeros(3)),
             0,
             TRUTH,
         )
 
 
-def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
-    def with_body(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Quantities], Quantities]:
-        return lambda q: _with_vector(q, i, replace(q.vectors[i], body=change(q.vectors[i].body)))
+def _in_frame(q: Quantities, turn: np.ndarray, offset: np.ndarray) -> Quantities:
+    """Quantities with the truth in another inertial frame: turned, then shifted."""
+    P = q.position
+    return q.changed(
+        rotation=turn @ given(q.rotation), position=None if P is None else P @ turn.T + offset
+    )
 
-    about = re.escape(vector.name)
-    for words, sign in _turned_axes():
-        yield Hypothesis(
-            f"{vector.name}: {words}",
-            with_body(lambda b, sign=sign: b @ sign.T),
-            _changes(sign),
-            about,
-        )
+
+def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
+    def changed(q: Quantities, change: Change) -> Quantities:
+        return _with_vector(q, i, replace(q.vectors[i], body=change(q.vectors[i].body)))
+
+    part = _Part(vector.name, re.escape(vector.name), changed)
+    yield from part.axes()
     if vector.reference is None:
         return
     down = ": an accelerometer at rest measures upwards" if vector.is_up else ""
-    yield Hypothesis(
-        f"{vector.name} and its reference look opposite{down}: change the sign of one",
-        with_body(np.negative),
-        1,
-        about,
+    yield part.mistake(
+        f"{vector.name} and its reference look opposite{down}: change the sign of one", np.negative
     )
     reference = vector.reference
     yield Hypothesis(
@@ -246,27 +236,19 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
         "(x, y, z) is (y, x, -z) in the other",
         lambda q: _with_vector(q, i, replace(q.vectors[i], reference=reference @ MIRRORED)),
         2,
-        about,
+        part.of,
     )
     for factor, words in (
         (GRAVITY, f"multiples of g: multiply by {GRAVITY}, or give it a reference of length 1"),
         (1 / GRAVITY, f"m/s^2: divide by {GRAVITY}, or give it a reference of that length"),
     ):
-        yield Hypothesis(
-            f"{vector.name} looks like {words}",
-            with_body(lambda b, factor=factor: factor * b),
-            1,
-            about,
-        )
+        yield part.mistake(f"{vector.name} looks like {words}", lambda b, factor=factor: factor * b)
     if q.rotation is not None:
-        yield Hypothesis(
+        yield part.mistake(
             f"{vector.name} and its reference look exchanged: the first is measured in the body "
             "frame, the second constant in the inertial frame",
-            lambda q: _with_vector(
-                q, i, replace(q.vectors[i], body=_to_body(q, q.vectors[i].body))
-            ),
+            lambda b: _to_body(q, b),
             2,
-            about,
         )
     fixed = _constant(reference)
     points = None if vector.is_up or fixed is None else _mean_direction(q, vector)
@@ -278,24 +260,15 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
             "from there",
             lambda q, points=points: _with_vector(q, i, replace(q.vectors[i], reference=points)),
             4,
-            about,
+            part.of,
             FITTED,
         )
     if q.rotation is not None and _lacks_gravity(q, vector):
-        yield Hypothesis(
+        yield part.mistake(
             f"{vector.name} looks like an acceleration without gravity: the filter needs what the "
             "sensor measures, gravity included",
-            lambda q: _with_vector(
-                q,
-                i,
-                replace(
-                    q.vectors[i],
-                    body=q.vectors[i].body
-                    + _to_body(q, np.broadcast_to(reference, q.vectors[i].body.shape)),
-                ),
-            ),
+            lambda b: b + _to_body(q, np.broadcast_to(reference, b.shape)),
             2,
-            about,
         )
 
 
@@ -306,13 +279,13 @@ def _lacks_gravity(q: Quantities, vector: Vector) -> bool:
     """
     if misfits(q).get(f"{vector.name} and truth", 0.0) <= FITS:
         return False
-    reference = np.broadcast_to(_of(vector.reference), vector.body.shape)
+    reference = np.broadcast_to(given(vector.reference), vector.body.shape)
     along = np.sum(_to_body(q, reference) * vector.body, axis=1)
     return bool(np.nanmean(along) < 0.5 * np.mean(np.sum(reference**2, axis=1)))
 
 
 def _of_landmarks(q: Quantities) -> Iterator[Hypothesis]:
-    count, about = len(q.places), "landmark"
+    count = len(q.places)
     for i, j in itertools.combinations(range(count), 2):
         order = list(range(count))
         order[i], order[j] = j, i
@@ -320,25 +293,20 @@ def _of_landmarks(q: Quantities) -> Iterator[Hypothesis]:
             f"landmarks {i} and {j} look exchanged: exchange their columns, or their references",
             lambda q, order=order: q.changed(places=tuple(q.places[k] for k in order)),
             1,
-            about,
+            LANDMARKS.of,
         )
     if count and q.rotation is not None:
-        yield Hypothesis(
+        yield LANDMARKS.mistake(
             "the landmarks look as if they were measured in the inertial frame, p - P: the filter "
             "needs them in the body frame, R^T (p - P)",
-            lambda q: q.changed(landmarks=tuple(_to_body(q, y) for y in q.landmarks)),
-            1,
-            about,
+            lambda y: _to_body(q, y),
         )
         if q.position is not None:
-            yield Hypothesis(
+            yield LANDMARKS.mistake(
                 "the landmarks look like their positions in the inertial frame: the filter needs "
                 "what the body sees, R^T (p - P)",
-                lambda q: q.changed(
-                    landmarks=tuple(_to_body(q, y - _of(q.position)) for y in q.landmarks)
-                ),
+                lambda y: _to_body(q, y - given(q.position)),
                 2,
-                about,
             )
     if count:
         yield Hypothesis(
@@ -346,45 +314,28 @@ def _of_landmarks(q: Quantities) -> Iterator[Hypothesis]:
             "(x, y, z) is (y, x, -z) in the other",
             lambda q: q.changed(places=tuple(place @ MIRRORED for place in q.places)),
             2,
-            about,
+            LANDMARKS.of,
         )
-        for unit, factor in LENGTHS:
-            yield Hypothesis(
-                f"landmarks look like {unit}: divide by {factor:g}",
-                lambda q, factor=factor: q.changed(
-                    landmarks=tuple(y / factor for y in q.landmarks)
-                ),
-                1,
-                about,
-            )
-        for words, sign in _turned_axes():
-            yield Hypothesis(
-                f"landmarks: {words}",
-                lambda q, sign=sign: q.changed(landmarks=tuple(y @ sign.T for y in q.landmarks)),
-                _changes(sign),
-                about,
-            )
+        yield from LANDMARKS.units("look", LENGTHS)
+        yield from LANDMARKS.axes()
     if count > 1:
         for j in range(count):
             yield from _of_one_landmark(q, j)
 
 
 def _of_one_landmark(q: Quantities, j: int) -> Iterator[Hypothesis]:
-    about = rf"landmarks? (\d+ and )?{j}\b"
-    for unit, factor in LENGTHS:
-        yield Hypothesis(
-            f"landmark {j} looks like {unit}: divide by {factor:g}",
-            lambda q, factor=factor: _with_landmark(q, j, q.landmarks[j] / factor),
-            2,
-            about,
-        )
+    def changed(q: Quantities, change: Change) -> Quantities:
+        seen = change(q.landmarks[j])
+        return q.changed(landmarks=(*q.landmarks[:j], seen, *q.landmarks[j + 1 :]))
+
+    part = _Part(f"landmark {j}", rf"landmarks? (\d+ and )?{j}\b", changed)
+    yield from part.units("looks", LENGTHS, 2)
     if q.rotation is not None:
-        yield Hypothesis(
+        yield part.mistake(
             f"landmark {j} looks as if it were measured in the inertial frame, p - P: the filter "
             "needs it in the body frame, R^T (p - P)",
-            lambda q: _with_landmark(q, j, _to_body(q, q.landmarks[j])),
+            lambda y: _to_body(q, y),
             2,
-            about,
         )
     if (seen := _places_seen(q)) is not None and np.isfinite(seen[j]).all(axis=1).any():
         place = np.nanmedian(seen[j], axis=0)
@@ -393,16 +344,10 @@ def _of_one_landmark(q: Quantities, j: int) -> Iterator[Hypothesis]:
             f"{np.linalg.norm(place - q.places[j]):.3g} m from there",
             lambda q: q.changed(places=(*q.places[:j], place, *q.places[j + 1 :])),
             4,
-            about,
+            part.of,
             FITTED,
         )
-    for words, sign in _turned_axes():
-        yield Hypothesis(
-            f"landmark {j}: {words}",
-            lambda q, sign=sign: _with_landmark(q, j, q.landmarks[j] @ sign.T),
-            2 + _changes(sign),
-            about,
-        )
+    yield from part.axes(more=2)
 
 
 def _places_seen(q: Quantities) -> list[np.ndarray] | None:
@@ -501,12 +446,12 @@ def _changes(matrix: np.ndarray) -> int:
 
 def _to_body(q: Quantities, inertial: np.ndarray) -> np.ndarray:
     """R^T of vectors (K, 3)."""
-    return np.einsum("kji,kj->ki", _of(q.rotation), inertial)
+    return np.einsum("kji,kj->ki", given(q.rotation), inertial)
 
 
 def _all_to_body(q: Quantities, inertial: np.ndarray) -> np.ndarray:
     """R^T of velocities (K, 3), which are integrated: by the R last known where it is not."""
-    R = _of(q.rotation)
+    R = given(q.rotation)
     known = np.isfinite(R).all(axis=(1, 2))
     last = np.maximum.accumulate(np.where(known, np.arange(len(R)), known.argmax()))
     return np.einsum("kji,kj->ki", R[last], inertial)
@@ -528,7 +473,3 @@ def _with_vectors_exchanged(q: Quantities, i: int, j: int) -> Quantities:
     one, other = q.vectors[i], q.vectors[j]
     q = _with_vector(q, i, replace(one, body=other.body))
     return _with_vector(q, j, replace(other, body=one.body))
-
-
-def _with_landmark(q: Quantities, j: int, seen: np.ndarray) -> Quantities:
-    return q.changed(landmarks=(*q.landmarks[:j], seen, *q.landmarks[j + 1 :]))

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from posegsa.filters.attitude import LARGEST_BIAS, REST_SHAKING, REST_TURNING
+from posegsa.model.measurements import known_means
 from posegsa.recordings.frames import GRAVITY
 
 PART = 0.5
@@ -41,7 +42,7 @@ def advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, time_step: 
 
 def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: int) -> Iterator[str]:
     turning, force = _parts(gyr, length), _parts(acc, length)
-    bias, pull = _mean(turning), _mean(force)
+    bias, pull = known_means(turning), known_means(force)
     still = (_spread(turning, bias) < REST_TURNING) & (_spread(force, pull) < REST_SHAKING)
     # A field of 0 is missing, as it is for the filter.
     known = None if mag is None else np.where(mag.any(axis=1, keepdims=True), mag, np.nan)
@@ -50,7 +51,8 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
         shown = np.median(bias[still], axis=0)
         speed = float(_length(shown))
         seen = [
-            _turned(one, still, shown) for one in (pull, None if field is None else _mean(field))
+            _turned(one, still, shown)
+            for one in (pull, None if field is None else known_means(field))
         ]
         told = [share for share in seen if share is not None]
         if speed >= BIAS_OFF and (max(told) < TURNS if told else speed <= LARGEST_BIAS):
@@ -67,7 +69,7 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
             )
     if field is None:
         return
-    size = _mean(_length(field)[..., None])[:, 0]
+    size = known_means(_length(field)[..., None])[:, 0]
     resting, moving = (size[np.isfinite(size) & which] for which in (still, ~still))
     cure = "calibrate the magnetometer in its place, or remove the magnet that is attached"
     if min(len(resting), len(moving)) >= FEWEST:
@@ -105,13 +107,6 @@ def _turned(seen: np.ndarray | None, still: np.ndarray, shown: np.ndarray) -> fl
     angle = np.arctan2(_length(np.cross(u, v)), np.sum(u * v, axis=1))
     expected = 2 * np.arcsin(sideways * np.sin(0.5 * np.minimum(turn, np.pi)))
     return float(np.median(angle[tells] / expected[tells]))
-
-
-def _mean(parts: np.ndarray) -> np.ndarray:
-    """Means (parts, d) of what is finite; NaN where nothing is."""
-    known = np.isfinite(parts).all(axis=-1, keepdims=True)
-    count = known.sum(axis=1)
-    return np.where(known, parts, 0.0).sum(axis=1) / np.where(count > 0, count, np.nan)
 
 
 def _spread(parts: np.ndarray, mean: np.ndarray) -> np.ndarray:

@@ -14,13 +14,17 @@ def strapdown(angular_velocity: np.ndarray, time_step: np.ndarray) -> np.ndarray
         angular_velocity: (K, 3) from each sample to the next, without its bias, body frame [rad/s].
         time_step: (K,) to the next sample [s].
     """
-    turned = angular_velocity * time_step[:, None]
-    angle = np.linalg.norm(turned, axis=1)
+    return matrices(turned(angular_velocity * time_step[:, None]))
+
+
+def turned(angles: np.ndarray) -> np.ndarray:
+    """Products (K, 4) of the rotations by all angles (K, 3) [rad] before each sample."""
+    angle = np.linalg.norm(angles, axis=1, keepdims=True)
     # sin(a / 2) / a, with np.sinc(x) = sin(pi x) / (pi x)
-    imaginary = 0.5 * np.sinc(angle / (2 * np.pi))[:, None] * turned
-    steps = np.concatenate([np.cos(0.5 * angle)[:, None], imaginary], axis=1)
+    imaginary = 0.5 * np.sinc(angle / (2 * np.pi)) * angles
+    steps = np.concatenate([np.cos(0.5 * angle), imaginary], axis=1)
     start = np.array([[1.0, 0.0, 0.0, 0.0]])
-    return matrices(running_products(np.concatenate([start, steps[:-1]])))
+    return running_products(np.concatenate([start, steps[:-1]]))
 
 
 def running_products(steps: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ import numpy as np
 
 from posegsa.recordings.held import held
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.rotations import product, quaternions
+from posegsa.recordings.rotations import inverse, log, product, quaternions
 
 SLOW = 2.0
 """Longest time over which the noise of vectors and landmarks is averaged [s]."""
@@ -74,7 +74,7 @@ def velocity_noises(recording: Recording) -> dict[str, VelocityNoise]:
         return {}
     R = np.where(known[:, None, None], truth.rotation, np.eye(3))
     q = quaternions(R)
-    turns = _log(product(q[:-1] * [1, -1, -1, -1], q[1:]))
+    turns = log(product(inverse(q[:-1]), q[1:]))
     true = {"angular_velocity": turns / dt}
     if truth.position is not None and not recording.attitude_only:
         moved = np.diff(np.where(known[:, None], truth.position, 0.0), axis=0)
@@ -184,11 +184,3 @@ def neighbours(values: np.ndarray) -> float:
     second = values[2:] - 2 * values[1:-1] + values[:-2]
     spread = np.median(np.abs(second - np.median(second, axis=0)))
     return float(_NORMAL * spread / math.sqrt(6))
-
-
-def _log(q: np.ndarray) -> np.ndarray:
-    """Rotation vectors (n, 3) [rad] of quaternions (n, 4)."""
-    q = np.where(q[:, :1] < 0, -q, q)
-    length = np.linalg.norm(q[:, 1:], axis=1, keepdims=True)
-    angle = 2 * np.arctan2(length, q[:, :1])
-    return np.where(length > 0, angle / np.where(length > 0, length, 1.0), 2.0) * q[:, 1:]

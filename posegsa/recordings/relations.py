@@ -32,11 +32,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from posegsa.model.measurements import known_means
 from posegsa.recordings.frames import GRAVITY, NORTH, UP, Frame
 from posegsa.recordings.held import held
-from posegsa.recordings.inertial_frame import running_products
+from posegsa.recordings.inertial_frame import turned
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.rotations import matrices, product, quaternions
+from posegsa.recordings.rotations import inverse, log, matrices, product, quaternions
 
 HORIZON = 0.5
 """Length of an interval [s]."""
@@ -154,10 +155,7 @@ def quantities(recording: Recording, *, averaged: bool = True, whole: bool = Fal
 
     def mean(a: np.ndarray) -> np.ndarray:
         """The mean (K, 3) of the measured ones of a few samples: an impact is shorter than that."""
-        some, there = a[within], np.isfinite(a[within]).all(axis=-1, keepdims=True)
-        count = there.sum(axis=1)
-        found = np.where(there, some, 0.0).sum(axis=1) / np.maximum(count, 1)
-        return np.where(count > 0, found, np.nan)
+        return known_means(a[within])
 
     of_vectors = mean if averaged else first
     vectors, given = [], recording.sensors
@@ -250,33 +248,11 @@ def _motion(q: Quantities) -> tuple[np.ndarray, np.ndarray]:
 def _moved(q: Quantities) -> tuple[np.ndarray, np.ndarray]:
     steps = np.diff(q.time, append=2 * q.time[-1] - q.time[-2])
     steps = np.where(steps > 5 * np.median(steps), np.median(steps), steps)
-    turned = q.once("turns", (q.time, q.gyroscope), lambda: _turned(q.gyroscope * steps[:, None]))
+    turns = q.once("turns", (q.time, q.gyroscope), lambda: turned(q.gyroscope * steps[:, None]))
     if q.velocity is None:
-        return turned, np.zeros_like(q.gyroscope)
-    moved = np.einsum("kij,kj->ki", matrices(turned), q.velocity) * steps[:, None]
-    return turned, np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)[:-1]])
-
-
-def _turned(angles: np.ndarray) -> np.ndarray:
-    """Products (K, 4) of the rotations by all angles (K, 3) [rad] before each."""
-    return running_products(np.concatenate([[[1.0, 0.0, 0.0, 0.0]], _exp(angles[:-1])]))
-
-
-def _exp(angles: np.ndarray) -> np.ndarray:
-    angle = np.linalg.norm(angles, axis=1, keepdims=True)
-    return np.concatenate([np.cos(angle / 2), 0.5 * angles * np.sinc(angle / 2 / np.pi)], axis=1)
-
-
-def _log(q: np.ndarray) -> np.ndarray:
-    """Rotation vectors (..., 3) [rad] of quaternions."""
-    q = np.where(q[..., :1] < 0, -q, q)
-    length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(length, q[..., :1])
-    return np.where(length > 0, angle / np.where(length > 0, length, 1), 2.0) * q[..., 1:]
-
-
-def _inverse(q: np.ndarray) -> np.ndarray:
-    return q * [1, -1, -1, -1]
+        return turns, np.zeros_like(q.gyroscope)
+    moved = np.einsum("kij,kj->ki", matrices(turns), q.velocity) * steps[:, None]
+    return turns, np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)[:-1]])
 
 
 def _intervals(q: Quantities, there: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -304,9 +280,9 @@ def _median_length(a: np.ndarray) -> float:
 
 def _between(q: Quantities, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turns (n, 4) and displacements (n, 3) of intervals, body frame of their first samples."""
-    turned, moved = _motion(q)
-    turn = product(_inverse(turned[first]), turned[last])
-    back = matrices(turned[first])
+    turns, moved = _motion(q)
+    turn = product(inverse(turns[first]), turns[last])
+    back = matrices(turns[first])
     return turn, np.einsum("kji,kj->ki", back, moved[last] - moved[first])
 
 
@@ -325,12 +301,12 @@ def _turn_and_truth(q: Quantities) -> float | None:
         return None
     first, last = found
     true = _true_turns(q, there)
-    true = product(_inverse(true[first]), true[last])
-    size = _median_length(_log(true))
+    true = product(inverse(true[first]), true[last])
+    size = _median_length(log(true))
     if size < TURNED:
         return None
     turn, _ = _between(q, first, last)
-    off = _log(product(_inverse(true), turn))
+    off = log(product(inverse(true), turn))
     return _median_length(off - np.median(off, axis=0)) / size
 
 
@@ -411,7 +387,7 @@ def _axis_and_truth(q: Quantities, vector: Vector, k: int) -> float | None:
     if (force := true_force(q, vector)) is None:
         return None
     assert q.rotation is not None
-    known = np.broadcast_to(_given(vector.reference), vector.body.shape)
+    known = np.broadcast_to(given(vector.reference), vector.body.shape)
     up, found = np.einsum("kji,kj->ki", q.rotation, known)[:, k], []
     for expected in (up, up + force.pulled[:, k]):
         pair = np.stack([force.body[:, k] - expected, expected], axis=1)
@@ -446,8 +422,8 @@ def _meanings(q: Quantities, vector: Vector) -> list[Vector]:
         return [vector]
 
     def compute() -> Force | None:
-        turned, moved = _motion(q)
-        return _force(q.time, vector, matrices(turned), moved)
+        turns, moved = _motion(q)
+        return _force(q.time, vector, matrices(turns), moved)
 
     of = q.time, vector.body, vector.reference, q.gyroscope, q.velocity
     force = q.once("force", of, compute)
@@ -470,7 +446,7 @@ def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Fo
     weighed = weighed[1:-1]
     whole = np.abs(time[2 * n :] - time[: -2 * n] - 2 * n * step) < step
     whole &= weighed[:, 3] > SPARSE
-    scale = _median_length(_given(vector.reference)) / GRAVITY
+    scale = _median_length(given(vector.reference)) / GRAVITY
     second = (P[2 * n :] - 2 * P[n:-n] + P[: -2 * n]) / (n * step) ** 2
     both = np.full((2, count, 3), np.nan)
     back = R[n:-n][whole]
@@ -479,9 +455,10 @@ def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Fo
     return Force(*both) if _finite(*both).sum() >= FEWEST else None
 
 
-def _given(reference: np.ndarray | None) -> np.ndarray:
-    assert reference is not None
-    return reference
+def given(a: np.ndarray | None) -> np.ndarray:
+    """An array that is known to be there."""
+    assert a is not None
+    return a
 
 
 def _means(a: np.ndarray, length: int) -> np.ndarray:
@@ -493,11 +470,11 @@ def _means(a: np.ndarray, length: int) -> np.ndarray:
 def _length(q: Quantities, vector: Vector) -> float | None:
     if _finite(vector.body).sum() < FEWEST:
         return None
-    known = max(_median_length(_given(vector.reference)), 1e-12)
+    known = max(_median_length(given(vector.reference)), 1e-12)
     sizes = [_median_length(one.body[_finite(one.body)]) for one in _meanings(q, vector)]
     if _is_calmed(q, vector):
-        there = _finite(_given(q.rotation), vector.body)
-        seen = np.einsum("kij,kj->ki", _given(q.rotation)[there], vector.body[there])
+        there = _finite(given(q.rotation), vector.body)
+        seen = np.einsum("kij,kj->ki", given(q.rotation)[there], vector.body[there])
         sizes += [_median_length(_means(seen, CALMED))] if there.sum() >= FEWEST else []
     return min(abs(np.log(max(size, 1e-12) / known)) for size in sizes)
 
@@ -513,7 +490,7 @@ def _direction_and_turn(q: Quantities, body: np.ndarray) -> float | None:
         return None
     first, last = found
     turn, _ = _between(q, first, last)
-    if _median_length(_log(turn)) < TURNED:
+    if _median_length(log(turn)) < TURNED:
         return None
     before, after = body[first], body[last]
     off = after - np.einsum("kji,kj->ki", matrices(turn), before)
@@ -557,7 +534,7 @@ def _two_vectors(q: Quantities, one: Vector, other: Vector) -> float | None:
         lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
         return np.sum(a * b, axis=-1) / np.where(lengths > 0, lengths, 1.0)
 
-    known = float(np.median(cosine(_given(one.reference), _given(other.reference))))
+    known = float(np.median(cosine(given(one.reference), given(other.reference))))
     found = []
     for first, second in itertools.product(_meanings(q, one), _meanings(q, other)):
         there = _finite(first.body, second.body)

@@ -58,6 +58,19 @@ def product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     )
 
 
+def inverse(q: np.ndarray) -> np.ndarray:
+    """The inverse of unit quaternions (..., 4)."""
+    return q * [1, -1, -1, -1]
+
+
+def log(q: np.ndarray) -> np.ndarray:
+    """Rotation vectors (..., 3) [rad] of unit quaternions (..., 4)."""
+    q = np.where(q[..., :1] < 0, -q, q)
+    length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(length, q[..., :1])
+    return np.where(length > 0, angle / np.where(length > 0, length, 1), 2.0) * q[..., 1:]
+
+
 def about(axis: np.ndarray, angle: float) -> np.ndarray:
     """Rotation (3, 3) by an angle [rad] about an axis (3,) of length one."""
     half = 0.5 * angle

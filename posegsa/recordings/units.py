@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from posegsa.errors import RecordingError
-from posegsa.model.measurements import finite_rows
+from posegsa.model.measurements import finite_rows, known_means
 
 DEGREE = math.pi / 180
 WINDOW = 0.1
@@ -80,7 +80,7 @@ def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float 
     if blocks < 2:
         return None
     turned = gyr[: blocks * size].reshape(blocks, size, 3).mean(axis=1) * (size * time_step)
-    u = _means(acc[: blocks * size].reshape(blocks, size, 3))
+    u = known_means(acc[: blocks * size].reshape(blocks, size, 3))
     u = u / np.maximum(np.linalg.norm(u, axis=1, keepdims=True), np.finfo(float).tiny)
     moved = u[1:] - u[:-1]
     expected = -np.cross(0.5 * (turned[1:] + turned[:-1]), 0.5 * (u[1:] + u[:-1]))
@@ -92,10 +92,3 @@ def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float 
     if both <= FOLLOWS * math.sqrt(square * float(np.sum(moved**2))):
         return None
     return both / square
-
-
-def _means(parts: np.ndarray) -> np.ndarray:
-    """Means (n, 3) of what is finite in each part (n, k, 3); NaN where nothing is."""
-    known = finite_rows(parts)[..., None]
-    count = known.sum(axis=1)
-    return np.where(known, parts, 0.0).sum(axis=1) / np.where(count > 0, count, np.nan)
