@@ -80,7 +80,7 @@ class Exported:
 def exported() -> list[Exported]:
     """The filters that are measured."""
     with jax.enable_x64(True):
-        few, several = measured("observer"), measured("disturbed")
+        few, several, rare = map(measured, ("observer", "disturbed", "sparse"))
         eight = with_landmarks(few, 8)
         observer = shipped("observer", few)
         line = RampGain(jnp.asarray(0.1), jnp.asarray(1.0))
@@ -102,6 +102,7 @@ def exported() -> list[Exported]:
             ),
             written("`recommended`", shipped("recommended", few), few),
             written("`disturbed`", shipped("disturbed", several), several),
+            written("`sparse`", shipped("sparse", rare), rare),
         ]
 
 

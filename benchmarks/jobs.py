@@ -1,0 +1,117 @@
+"""Which filter for which job: the errors of the shipped filters where each is recommended.
+
+Each filter as shipped, with the numbers in its configuration, on 1000 scenarios that no search has
+seen: RMS errors in the cost's second window, mean cost (99th percentile), and the cost of the
+clairvoyant. Time and memory of a step are those that `c_filter.py` wrote to docs/export.md.
+
+    python benchmarks/jobs.py --write   # README.md and docs/which_filter.md
+"""
+
+import argparse
+import re
+from typing import NamedTuple
+
+import numpy as np
+from families import with_scenarios, words
+from readme import ROOT, write_block
+
+import posegsa
+from posegsa import config
+from posegsa.judging.clairvoyance import clairvoyant_costs
+from posegsa.judging.description import candidate_of, configured_filter
+from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.search.configured_filters import filter_of
+from posegsa.search.drawn_scenarios import scenario_batch
+from posegsa.search.keys import held_out_keys
+
+
+class Job(NamedTuple):
+    """What a user has, and the filter to take."""
+
+    given: str
+    take: str
+    """Name of its configuration."""
+    scenarios: str
+    """Name of the configuration whose scenarios are like the job."""
+    start: str
+    in_c: str
+    """Its row in docs/export.md."""
+
+
+ANY = "a start that may be wrong, by up to 180° and 10 m"
+JOBS = (
+    Job(
+        "a first sample that determines the pose: two vectors and a landmark",
+        *("kalman", "observer", "sensors", "Kalman, 18 states, 2 vectors, 1 landmark"),
+    ),
+    Job(ANY, "recommended", "observer", "given", "`recommended`, 2 vectors, 1 landmark"),
+    Job(
+        "the same, and little time or memory",
+        *("observer", "observer", "given", "`observer`, 2 vectors, 1 landmark"),
+    ),
+    Job(
+        "sensors that are disturbed: bursts, noise that changes, outages",
+        *("disturbed", "disturbed", "sensors", "`disturbed`, 2 vectors, 3 landmarks"),
+    ),
+    Job(
+        "slow sensors, one landmark in sight at a time, a body that is moved",
+        *("sparse", "sparse", "given", "`sparse`, 2 vectors, 3 landmarks"),
+    ),
+)
+
+
+def step_in_c(name: str) -> str:
+    """Time and memory of a step in C, from the page that has them."""
+    page = (ROOT / "docs" / "export.md").read_text("utf-8")
+    pattern = rf"^\| {re.escape(name)} \| float \| (\d+) ns [^|]*\| [^|]*\| (\d+ B) \|"
+    found = re.search(pattern, page, re.MULTILINE)
+    if found is None:
+        raise ValueError(f"docs/export.md: must have a row {name!r} | float")
+    return f"{int(found[1]) / 1000:.1f} us, {found[2]}"
+
+
+def row(job: Job, scenarios: int, which: int) -> str:
+    """A row of the table."""
+    own = config.load(job.take)
+    one = with_scenarios(own, config.load(job.scenarios), job.start)
+    keys = held_out_keys(0, scenarios, which)
+    batch = scenario_batch(one, keys, filter_of(one))
+    metrics, _ = metrics_of(error_tracks(candidate_of(configured_filter(own), own), batch), batch)
+    if metrics.diverged.any():
+        print(f"  {job.take}: {metrics.diverged.sum()} of {scenarios} diverged")
+    attitude, distance = np.mean(metrics.rms_attitude), 100 * np.mean(metrics.rms_distance)
+    return " | ".join(
+        (
+            f"| {job.given}",
+            f"`{job.take}`",
+            f"{attitude:.2f}°, {distance:.1f} cm",
+            words(metrics.cost),
+            f"{np.mean(clairvoyant_costs(one, keys)):.1f}",
+            f"{step_in_c(job.in_c)} |",
+        )
+    )
+
+
+def main() -> None:
+    """Judge each filter on its job."""
+    parser = argparse.ArgumentParser(description="Which filter for which job.")
+    parser.add_argument("--scenarios", type=int, default=1000)
+    parser.add_argument("--set", type=int, default=43, help="which held-out scenarios")
+    parser.add_argument("--write", action="store_true", help="into README.md and the docs")
+    options = parser.parse_args()
+    posegsa.enable_fast_path()
+    lines = [
+        "| you have | take | RMS errors from 4 s on | cost (99 %) | clairvoyant | a step in C |",
+        "| --- | --- | --: | --: | --: | --: |",
+    ]
+    print("\n".join(lines))
+    for job in JOBS:
+        lines.append(row(job, options.scenarios, options.set))
+        print(lines[-1], flush=True)
+    if options.write:
+        for page in ("README.md", "docs/which_filter.md"):
+            write_block("jobs", "\n".join(lines), page)
+
+
+if __name__ == "__main__":
+    main()
