@@ -60,6 +60,9 @@ JOBS = (
 )
 
 
+STARTS = {"sensors": "from its sensors", "given": "as given"}
+
+
 def step_in_c(name: str) -> str:
     """Time and memory of a step in C, from the page that has them."""
     page = (ROOT / "docs" / "export.md").read_text("utf-8")
@@ -83,7 +86,7 @@ def row(job: Job, scenarios: int, which: int) -> str:
     return " | ".join(
         (
             f"| {job.given}",
-            f"`{job.take}`",
+            f"`{job.take}`{'' if own.tuned.numbers else ', not tuned'}, {STARTS[job.start]}",
             f"{attitude:.2f}°, {distance:.1f} cm",
             words(metrics.cost),
             f"{np.mean(clairvoyant_costs(one, keys)):.1f}",
@@ -101,7 +104,8 @@ def main() -> None:
     options = parser.parse_args()
     posegsa.enable_fast_path()
     lines = [
-        "| you have | take | RMS errors from 4 s on | cost (99 %) | clairvoyant | a step in C |",
+        "| you have | take, start | RMS errors from 4 s on | cost (99 %) | clairvoyant's cost | "
+        "a step in C, state |",
         "| --- | --- | --: | --: | --: | --: |",
     ]
     print("\n".join(lines))
