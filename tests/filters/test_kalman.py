@@ -301,7 +301,7 @@ def test_samples_of_an_observer_that_learns_the_biases_serve_too() -> None:
     sums = jax.eval_shape(prepare, m, replace(settings, weights=None, each_agent=False))
     noise = noise_of(PLAIN, np.float32)
     state = started(state_of(np.eye(4), dtype=np.float32), noise)
-    with pytest.raises(ArgumentError, match="each vector"):
+    with pytest.raises(ArgumentError, match=r"VectorSettings\(each_agent=True\)"):
         update(state, sums, noise)
 
 
