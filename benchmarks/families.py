@@ -51,13 +51,18 @@ def words(costs: np.ndarray) -> str:
     return f"{np.mean(costs):.1f} ({np.quantile(costs, 0.99):.0f})"
 
 
+def options_of(about: str, which: int, pages: str) -> argparse.Namespace:
+    """Options of a command that judges filters on held-out scenarios, by default set `which`."""
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("--scenarios", type=int, default=1000)
+    parser.add_argument("--set", type=int, default=which, help="which held-out scenarios")
+    parser.add_argument("--write", action="store_true", help=f"into {pages}")
+    return parser.parse_args()
+
+
 def main() -> None:
     """Judge all filters on all families."""
-    parser = argparse.ArgumentParser(description="One filter on many families of scenarios.")
-    parser.add_argument("--scenarios", type=int, default=1000)
-    parser.add_argument("--set", type=int, default=11, help="which held-out scenarios")
-    parser.add_argument("--write", action="store_true", help="into docs/which_filter.md")
-    options = parser.parse_args()
+    options = options_of("One filter on many families of scenarios.", 11, "docs/which_filter.md")
     posegsa.enable_fast_path()
     recommended, kalman = config.load("recommended"), config.load("kalman")
     tuned = candidate_of(configured_filter(recommended), recommended)

@@ -7,12 +7,11 @@ clairvoyant. Time and memory of a step are those that `c_filter.py` wrote to doc
     python benchmarks/jobs.py --write   # README.md and docs/which_filter.md
 """
 
-import argparse
 import re
 from typing import NamedTuple
 
 import numpy as np
-from families import with_scenarios, words
+from families import options_of, with_scenarios, words
 from readme import ROOT, write_block
 
 import posegsa
@@ -97,11 +96,7 @@ def row(job: Job, scenarios: int, which: int) -> str:
 
 def main() -> None:
     """Judge each filter on its job."""
-    parser = argparse.ArgumentParser(description="Which filter for which job.")
-    parser.add_argument("--scenarios", type=int, default=1000)
-    parser.add_argument("--set", type=int, default=43, help="which held-out scenarios")
-    parser.add_argument("--write", action="store_true", help="into README.md and the docs")
-    options = parser.parse_args()
+    options = options_of("Which filter for which job.", 43, "README.md and docs/which_filter.md")
     posegsa.enable_fast_path()
     lines = [
         "| you have | take, start | RMS errors from 4 s on | cost (99 %) | clairvoyant's cost | "

@@ -143,14 +143,13 @@ def signal_in_words(result: Result) -> list[str]:
         f"x {gain.rate_scale!r}",
         "    before: e of the previous sample; at the first sample before = now, so that rate is 0",
         *wrapped(_SYMBOLS[gain.signal]),
-        *(_known(result) if gain.signal == "measured" else []),
-        *_believed(result),
+        *((*_known(result), *_believed(result)) if gain.signal == "measured" else ()),
         *settings_of(gain),
     ]
 
 
 def _believed(result: Result) -> list[str]:
-    """What belief changes of the weights, if the observer has it."""
+    """What belief does to the weights, if the observer has it."""
     used = result.tuned.filter
     if not isinstance(used, ObserverConfig) or used.belief == "off":
         return []

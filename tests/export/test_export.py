@@ -133,7 +133,10 @@ def test_a_controller_of_an_observer_with_belief_says_whose_weights_are_divided(
     plain = tuned(K)
     believing = config.override(plain.experiment, ["filter.belief=ramp"])
     with_belief = dataclasses.replace(plain, experiment=believing)
-    for result, said in ((plain, False), (with_belief, True)):
+    oracle = dataclasses.replace(  # its error has no weights
+        plain, experiment=config.override(believing, ["gain.signal=pose"])
+    )
+    for result, said in ((plain, False), (with_belief, True), (oracle, False)):
         written = re.sub(r"[\s*%#]+", " ", export(result, format))
         assert (words in written) == said
 
