@@ -43,6 +43,14 @@ def test_options_that_the_user_has_set_win():
     assert "xla_cpu_small_while_loop_byte_threshold=" in flags
 
 
+@pytest.mark.parametrize(
+    ("machine", "wanted"), [("x86_64", True), ("AMD64", True), ("arm64", False)]
+)
+def test_an_option_of_x86_is_for_x86_alone(monkeypatch, machine, wanted):
+    monkeypatch.setattr(runtime.platform, "machine", lambda: machine)
+    assert ("-x86-machine-combiner=false" in runtime.fast_path_flags()) == wanted
+
+
 def test_devices_may_wait_for_each_other_longer_than_xla_lets_them():
     name = "--xla_cpu_collective_call_terminate_timeout_seconds"
     assert f"{name}=604800" in runtime.fast_path_flags().split()
