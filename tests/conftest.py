@@ -1,5 +1,6 @@
 """What every test runs under: strict JAX, the fast path's options, few and repeatable examples."""
 
+import ctypes
 import gc
 import os
 import time
@@ -74,6 +75,26 @@ def optimisation(request: pytest.FixtureRequest) -> None:
     if jax.config.read("jax_disable_most_optimizations") != fast:
         jax.clear_caches()
         jax.config.update("jax_disable_most_optimizations", fast)
+
+
+ENOUGH = 2e9
+"""Memory of a process above which its compiled programs are forgotten [byte]."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def memory() -> Iterator[None]:
+    """Forget the compiled programs between files, once they take gigabytes.
+
+    Kept to the end, they take 8 GB in each of two processes. Most are of one file; those that are
+    needed again are on disk. glibc keeps what is freed until it is told to give it back.
+    """
+    yield
+    status = Path("/proc/self/statm")
+    if status.exists() and int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > ENOUGH:
+        jax.clear_caches()
+        gc.collect()
+        if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
+            trim(0)
 
 
 @pytest.fixture(scope="session", autouse=True)
