@@ -42,6 +42,7 @@ def main() -> None:
         batch = scenario_batch(one, keys, filter_of(one))
         shipped = config.load(file)
         nees = error_tracks(candidate_of(configured_filter(shipped), shipped), batch).nees
+        assert nees is not None  # a Kalman filter has a covariance
         time = np.asarray(batch.samples.time[0], np.float64)
         samples = [np.argmin(np.abs(time - t)) for t in TIMES]
         cells = [
