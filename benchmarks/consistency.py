@@ -8,7 +8,7 @@ of scenarios in which it is up to the 95 % quantile of chi-squared with 6 degree
 """
 
 import numpy as np
-from families import DRAWN, options_of, with_scenarios
+from families import DRAWN, options_of, with_family, with_scenarios
 from readme import write_block
 
 import posegsa
@@ -28,19 +28,16 @@ def main() -> None:
     """Judge all filters."""
     options = options_of("The NEES of Kalman filters.", 44, "docs/kalman.md")
     posegsa.enable_fast_path()
-    own = config.load("observer")
-    family = config.from_dict(
-        own.model_dump(mode="json") | {"family": own.family.model_dump(mode="json") | DRAWN}
-    )
+    family = with_family("observer", DRAWN)
     keys = held_out_keys(0, options.scenarios, options.set)
     lines = [
         "| NEES of the pose, from the sensors | at 10 s | at 30 s | at 60 s |",
         "| --- | --: | --: | --: |",
     ]
     for name, file in FILTERS.items():
-        one = with_scenarios(config.load(file), family, "sensors")
-        batch = scenario_batch(one, keys, filter_of(one))
         shipped = config.load(file)
+        one = with_scenarios(shipped, family, "sensors")
+        batch = scenario_batch(one, keys, filter_of(one))
         nees = error_tracks(candidate_of(configured_filter(shipped), shipped), batch).nees
         assert nees is not None  # a Kalman filter has a covariance
         time = np.asarray(batch.samples.time[0], np.float64)

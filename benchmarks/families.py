@@ -38,6 +38,12 @@ FAMILIES: dict[str, tuple[str, dict[str, Any]]] = {
 """By name: the configuration of its scenarios and cost, and changes of [family]."""
 
 
+def with_family(file: str, changes: dict[str, Any]) -> config.Experiment:
+    """A configuration with changes of [family]."""
+    data = config.load(file).model_dump(mode="json")
+    return config.from_dict(data | {"family": data["family"] | changes})
+
+
 def with_scenarios(
     one: config.Experiment, scenarios: config.Experiment, start: str = "given"
 ) -> config.Experiment:
@@ -80,10 +86,7 @@ def main() -> None:
         "| --- | --: | --: | --: | --: | --: | --: |",
     ]
     for name, (file, changes) in FAMILIES.items():
-        own = config.load(file)
-        family = config.from_dict(
-            own.model_dump(mode="json") | {"family": own.family.model_dump(mode="json") | changes}
-        )
+        own, family = config.load(file), with_family(file, changes)
         given, seen = (with_scenarios(recommended, family, s) for s in ("given", "sensors"))
         plain = with_scenarios(kalman, family, "sensors")
         found = (

@@ -77,7 +77,7 @@ def optimisation(request: pytest.FixtureRequest) -> None:
         jax.config.update("jax_disable_most_optimizations", fast)
 
 
-ENOUGH = 2e9
+MEMORY_LIMIT = 2e9
 """Memory of a process above which its compiled programs are forgotten [byte]."""
 
 
@@ -90,7 +90,8 @@ def memory() -> Iterator[None]:
     """
     yield
     status = Path("/proc/self/statm")
-    if status.exists() and int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > ENOUGH:
+    pages = int(status.read_text().split()[1]) if status.exists() else 0
+    if pages * os.sysconf("SC_PAGE_SIZE") > MEMORY_LIMIT:
         jax.clear_caches()
         gc.collect()
         if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
