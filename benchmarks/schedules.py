@@ -1,8 +1,10 @@
 """Schedules of a Kalman filter's noises compared with alternatives, on one family of scenarios.
 
-Every contender is searched with the same optimiser and number of evaluations on the same training
-scenarios, and judged on others. Prints the table of a family: mean cost, its difference from the
-paper's controller with a 95 % interval (paired, bootstrap), median, 99th percentile, worst.
+Every contender is searched with the same optimiser on the same training scenarios, and judged on
+others. All have the same number of evaluations, or more: a search goes on until ENOUGH more improve
+its training cost by less than LEAST (or it has MOST times that number). Prints the table of a
+family: mean cost, its difference from the paper's controller with a 95 % interval (paired,
+bootstrap), median, 99th percentile, worst.
 
     python benchmarks/schedules.py recommended     # any start, as given; five minutes on two cores
     python benchmarks/schedules.py field --seeds 3
@@ -10,8 +12,10 @@ paper's controller with a 95 % interval (paired, bootstrap), median, 99th percen
 """
 
 import argparse
+import math
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,10 +25,12 @@ from jax import Array
 import posegsa
 from posegsa import config
 from posegsa.config import KALMAN_ALSO
+from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import candidate_of, configured_filter
 from posegsa.model.schedules import RampGain
-from posegsa.search.candidates import Candidate, SimpleSpace
+from posegsa.optimisers import Search
+from posegsa.search.candidates import Candidate, ScheduleSpace, SimpleSpace
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
@@ -32,7 +38,7 @@ from posegsa.search.population import costs_by_scenario
 from posegsa.search.problem import tuning_problem
 from posegsa.search.run_search import run_search
 from posegsa.search.schedule_spaces import NoiseSpaces
-from posegsa.search.search_spaces import search_space
+from posegsa.search.search_spaces import role_space, search_space
 from posegsa.words import text_table
 
 LANES = 8
@@ -46,7 +52,11 @@ NOISES = [one.model_dump(mode="json") for one in KALMAN_ALSO]
 BELIEF_ALSO = [
     {"key": "filter.belief_smoothing", "lower": 0.01, "upper": 1.0, "scale": "logarithmic"}
 ]
+ENOUGH, LEAST, MOST = 500, 0.005, 4
+"""Evaluations and share of the cost, and factor on the common number of evaluations."""
 CONTROLLER = "the paper's controller"
+TWO = ", reset in two frames"
+TIED, BOTH = f"{CONTROLLER}, one for all sensors", f"{CONTROLLER}, both roles"
 GATE, HUBER, POWER, SAGE_HUSA = "gate", "Huber", "plain residual law", "Sage and Husa"
 RULES: dict[str, tuple[list[tuple[float, float]], Callable[[Array], RampGain]]] = {
     GATE: ([(0.0, 0.4)], lambda x: RampGain(x[0], jnp.full_like(x[0], 1000.0))),
@@ -89,6 +99,9 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
                 {"belief": "off", "iterations": 3},
                 NOISES,
             ),
+            TIED: ({"belief": "fuzzy"}, BELIEF_ALSO),
+            BOTH: ({"belief": "fuzzy", "unknown": "fuzzy"}, BELIEF_ALSO),
+            f"{CONTROLLER}, noises too": ({"belief": "fuzzy"}, [*NOISES, *BELIEF_ALSO]),
             CONTROLLER: ({"belief": "fuzzy"}, BELIEF_ALSO),
         }
     off = {"unknown": "off"}
@@ -99,6 +112,13 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
         "clock, 16 knots": ({"unknown": "clock"}, also),
         "straight line": ({"unknown": "ramp"}, also),
         "smooth K(e)": ({"unknown": "smooth"}, also),
+        f"fixed noises, tuned{TWO}": (off | {"reset": "two frames"}, NOISES),
+        f"fixed noises, tuned, 3 iterations an update{TWO}": (
+            off | {"reset": "two frames", "iterations": 3},
+            NOISES,
+        ),
+        f"straight line{TWO}": ({"unknown": "ramp", "reset": "two frames"}, also),
+        f"{CONTROLLER}{TWO}": ({"unknown": "fuzzy", "reset": "two frames"}, also),
         CONTROLLER: ({"unknown": "fuzzy"}, also),
     }
 
@@ -145,22 +165,83 @@ def as_configured(one: config.Experiment) -> Candidate:
     return Candidate(None, (jnp.asarray(one.filter.vector, jnp.float32),), ("filter.vector",))
 
 
-def search(name: str, one: config.Experiment) -> tuple[Candidate, float]:
-    """The best candidate of a contender's search, and its training cost."""
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TiedSpace:
+    """The numbers of one schedule, which serves vectors and landmarks."""
+
+    each: ScheduleSpace
+
+    @property
+    def lower(self) -> Array:
+        """(d,)."""
+        return self.each.lower
+
+    @property
+    def upper(self) -> Array:
+        """(d,)."""
+        return self.each.upper
+
+    def schedule(self, vector: Array) -> NoiseGains:
+        """The schedules of a vector (d,)."""
+        one: Any = self.each.schedule(vector)
+        return NoiseGains(vectors=one, landmarks=one)
+
+    def valid(self, vector: Array) -> Array:
+        """Whether a vector (d,) has a cost."""
+        return self.each.valid(vector)
+
+
+class EnoughSearched(Exception):
+    """Stops a search that hardly improves; holds it."""
+
+    def __init__(self, search: Search) -> None:
+        super().__init__()
+        self.search = search
+
+
+class Searched(NamedTuple):
+    """What the search of a contender found."""
+
+    candidate: Candidate
+    training: float
+    evaluations: int
+
+
+def search(name: str, one: config.Experiment) -> Searched:
+    """The best candidate of a contender's search."""
+    agents, number = one.search.agents, one.search.evaluations
+    iterations = MOST * one.search.total_iterations
+    one = one.replace(**{"search.iterations": iterations})
     problem = tuning_problem(one)
+    if name == TIED:
+        problem = problem._replace(space=search_space(one, TiedSpace(role_space("fuzzy", one))))
     if rule := next((rule for rule in RULES if name.startswith(rule)), None):
         bounds, make = RULES[rule]
         lower, upper = (jnp.asarray(ends, one.run.dtype) for ends in zip(*bounds, strict=True))
         space, roles = SimpleSpace(lower, upper, make), ("vectors", "landmarks")
         spaces = NoiseSpaces((space,) * len(roles), roles)
         problem = problem._replace(space=search_space(one, spaces))
-    found = run_search(problem).search
-    return problem.space.candidate(found.best_position), float(found.best_cost)
+
+    def stop(search: Search, *_: float) -> None:
+        before = int(search.iteration) - math.ceil(ENOUGH / agents)
+        if before > 0 and int(search.iteration) * agents >= number:
+            earlier = float(search.history.best[before - 1])
+            if float(search.best_cost) > (1 - LEAST) * earlier:
+                raise EnoughSearched(search)
+
+    try:
+        found = run_search(problem, after_chunk=stop).search
+    except EnoughSearched as enough:
+        found = enough.search
+    candidate = problem.space.candidate(found.best_position)
+    return Searched(candidate, float(found.best_cost), int(found.iteration) * agents)
 
 
-def row(name: str, training: float | None, costs: np.ndarray, beside: np.ndarray) -> list[str]:
-    """A row of the table; `beside` are the controller's costs."""
-    words = [name, "" if training is None else f"{training:.2f}", f"{np.mean(costs):.2f}"]
+def row(name: str, found: Searched | None, costs: np.ndarray, beside: np.ndarray) -> list[str]:
+    """A row of the table; `beside` are the controller's costs, `found` None without a search."""
+    of_search = ["", ""] if found is None else [f"{found.evaluations}", f"{found.training:.2f}"]
+    words = [name, *of_search, f"{np.mean(costs):.2f}"]
     if costs is beside:
         words.append("")
     else:
@@ -184,18 +265,17 @@ def main() -> None:
     keys = held_out_keys(0, options.scenarios, options.set)
     family = config.load(options.family)
     for seed in range(options.first, options.first + options.seeds):
-        found: dict[str, tuple[float | None, np.ndarray]] = {}
+        found: dict[str, tuple[Searched | None, np.ndarray]] = {}
         one = family
         for name, (contender, searched) in experiments(options.family, seed).items():
             if options.only and name not in (CONTROLLER, *options.only):
                 continue
             one = contender
-            if searched:
-                candidate, training = search(name, one)
-            else:
-                candidate, training = as_configured(one), None
-            found[name] = training, held_out(one, candidate, keys)
-            print(f"  {name}: {found[name][1].mean():.2f}", flush=True)
+            best = search(name, one) if searched else None
+            candidate = as_configured(one) if best is None else best.candidate
+            found[name] = best, held_out(one, candidate, keys)
+            after = "" if best is None else f" after {best.evaluations} evaluations"
+            print(f"  {name}: {found[name][1].mean():.2f}{after}", flush=True)
         if isinstance(family.filter, config.ObserverConfig):
             tuned = candidate_of(configured_filter(family), family)
             found["the observer as shipped"] = None, held_out(family, tuned, keys)
@@ -207,11 +287,11 @@ def main() -> None:
             )
             found["not tuned, from sensors"] = None, held_out(plain, as_configured(plain), keys)
         found["clairvoyant"] = None, np.asarray(clairvoyant_costs(one, keys))
-        heads = ["Kalman filter", "training", "held out", "less controller", "median", "99 %"]
+        heads = ["Kalman filter", "evaluations", "training", "held out", "less controller"]
         beside = found[CONTROLLER][1]
-        rows = [row(name, training, costs, beside) for name, (training, costs) in found.items()]
+        rows = [row(name, best, costs, beside) for name, (best, costs) in found.items()]
         print(f"{options.family}, search {seed}")
-        print(text_table([[*heads, "worst"], *rows]), flush=True)
+        print(text_table([[*heads, "median", "99 %", "worst"], *rows]), flush=True)
 
 
 if __name__ == "__main__":

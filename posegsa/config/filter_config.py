@@ -10,6 +10,7 @@ from posegsa.config.schedule_config import DEFAULT_ALSO
 from posegsa.config.tunable import AlsoTuned
 from posegsa.filters.attitude import Interval
 from posegsa.filters.belief import BeliefInput
+from posegsa.filters.covariance import Reset
 from posegsa.filters.observer import GainLaw, LandmarkUnit, Law
 from posegsa.model.schedules import SCHEDULES
 from posegsa.settings.choice import Choice
@@ -183,9 +184,10 @@ class KalmanConfig(Section):
     """The same for the linear velocity."""
     iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
     """How many times the measurements of a sample are linearised, each time at the new estimate."""
-    moves_covariance: Flag = False
-    """Whether the covariance is moved to the coordinates of the new estimate after an update, which
-    is better after a wrong start and less safe in float32."""
+    reset: Reset = "off"
+    """How the covariance is carried to the coordinates of the new estimate after an update: left as
+    it is ("off"), moved by the Jacobian of the "left" error, or by that of the right error of the
+    group of "two frames", which is best after a wrong start."""
 
     unknown: NoiseScheduleKind = "off"
     """The schedule that multiplies the densities of the velocities' noise and the walk of the

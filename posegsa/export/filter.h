@@ -160,12 +160,21 @@ static inline void posegsa_rotation(const posegsa_state *state, posegsa_real rot
 
 {% endblock %}
 {% for function in functions %}
+{% if function in ("atan2", "pow") %}
+static inline posegsa_real posegsa_{{ function }}(posegsa_real x, posegsa_real y)
+{
+    /* The compiler evaluates the comparison. */
+    return sizeof(posegsa_real) < sizeof(double) ? (posegsa_real){{ function }}f((float)x, (float)y)
+                                                 : (posegsa_real){{ function }}((double)x, (double)y);
+}
+{% else %}
 static inline posegsa_real posegsa_{{ function }}(posegsa_real x)
 {
     /* The compiler evaluates the comparison. */
     return sizeof(posegsa_real) < sizeof(double) ? (posegsa_real){{ function }}f((float)x)
                                                  : (posegsa_real){{ function }}((double)x);
 }
+{% endif %}
 
 {% endfor %}
 {% block work %}

@@ -95,7 +95,7 @@ FUNCTIONS = {
     **{
         name: name for name in ("sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "tanh")
     },
-    **{"abs": "fabs", "floor": "floor", "round": "rint"},
+    **{"abs": "fabs", "floor": "floor", "round": "rint", "atan2": "atan2", "pow": "pow"},
 }
 """Functions of `<math.h>` by their names in JAX; the C code calls them as `posegsa_NAME`."""
 _ALLOWED = (

@@ -105,7 +105,7 @@ class Clairvoyant:
             angular_velocity=known.angular_velocity, velocity=known.velocity
         )
         updated, found = update(state, now.sample, noise)
-        moved = propagate(updated, None, now.sample, noise)
+        moved = propagate(updated, (), now.sample, noise)
         if known.jump is not None:
             moved = _jumped(moved, now.sample, *known.jump)
         return moved, Record(nis=found.nis, scalars=found.scalars)
@@ -132,4 +132,4 @@ def _jumped(state: KalmanState, sample: Sample, turn: Vec3, displacement: Vec3) 
         angular_velocity=add(state.estimate.bias_angular, scale(1 / instant, turn)),
         velocity=add(state.estimate.bias_linear, scale(1 / instant, displacement)),
     )
-    return propagate(state, None, during, silent)
+    return propagate(state, (), during, silent)

@@ -6,8 +6,9 @@ The equations are those of `filters.kalman`.
 
 import operator
 from collections.abc import Callable, Sequence
-from functools import reduce
-from typing import NamedTuple, TypeAlias
+from functools import partial, reduce
+from itertools import chain
+from typing import Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +37,9 @@ fuses into one vectorised kernel: 0.1 us per filter and sample with 12 states, 0
 one core, for the paper's three sensors. Sensors of a kind are a loop, so that the compile time,
 40 s with 18 states, does not depend on how many there are.
 """
+
+Reset: TypeAlias = Literal["off", "left", "two frames"]
+"""How the covariance is carried to the coordinates of a corrected estimate (`transported`)."""
 
 Row: TypeAlias = dict[int, Array | float]
 """A row of a sparse matrix: its nonzero entries by column."""
@@ -169,10 +173,43 @@ def _half_way(correction: Sequence[Array]) -> tuple[Quaternion, Vec3]:
     shift = rho[0], rho[1], rho[2]
     x, y, z = quarter = scale(0.25, (tx, ty, tz))
     w = 1 / jnp.sqrt(1 + dot(quarter, quarter))
-    # In float32 a jump by kilometres, from garbage, would leave only rounding errors in the
-    # covariance.
-    half = 0.5 / jnp.sqrt(1 + dot(shift, shift) / LONGEST_MOVE**2)
-    return (w, w * x, w * y, w * z), scale(half, add(shift, cross(quarter, shift)))
+    half = scale(0.5, _limited(shift))
+    return (w, w * x, w * y, w * z), add(half, cross(quarter, half))
+
+
+def _whole_way(correction: Sequence[Array]) -> tuple[Quaternion, Vec3]:
+    """exp(x^) of the pose's part of a correction x, by which it moves the estimate."""
+    tx, ty, tz, *rho = correction[:ANGULAR]
+    zero = jnp.zeros_like(tx)
+    one = zero + 1
+    shift = _limited((rho[0], rho[1], rho[2]))
+    return move((one, zero, zero, zero), (zero, zero, zero), (tx, ty, tz), shift)
+
+
+def _limited(shift: Vec3) -> Vec3:
+    """A correction of the position, at most LONGEST_MOVE.
+
+    In float32 a jump by kilometres, from garbage, would leave only rounding errors in the
+    covariance.
+    """
+    return scale(1 / jnp.sqrt(1 + dot(shift, shift) / LONGEST_MOVE**2), shift)
+
+
+def _with_turned_biases(covariance: Covariance, R: Matrix3) -> Covariance:
+    """The covariance after each bias is turned, b <- R^T b."""
+    every = range(len(covariance))
+
+    def turned(column: Sequence[Array]) -> list[Array]:
+        of_biases = range(ANGULAR, len(column), 3)
+        return [*column[:ANGULAR], *chain(*(unrotate(R, _three(column, i)) for i in of_biases))]
+
+    by_column = [turned([entry_of(covariance, i, j) for i in every]) for j in every]
+    by_row = [turned([by_column[j][i] for j in every]) for i in every]
+    return tuple(tuple(by_row[i][i:]) for i in every)
+
+
+def _three(numbers: Sequence[Array], first: int) -> Vec3:
+    return numbers[first], numbers[first + 1], numbers[first + 2]
 
 
 def _turned(covariance: Covariance, R: Matrix3, P: Vec3) -> Covariance:
@@ -188,19 +225,30 @@ def _turned(covariance: Covariance, R: Matrix3, P: Vec3) -> Covariance:
     )
 
 
-@jax.jit  # traced once for all programs; XLA inlines it
+@partial(jax.jit, static_argnames="reset")  # traced once for all programs; XLA inlines it
 def transported(
-    covariance: Covariance, correction: Sequence[Array] | None, omega: Vec3, v: Vec3, dt: Array
+    covariance: Covariance,
+    correction: Sequence[Array],
+    omega: Vec3,
+    v: Vec3,
+    dt: Array,
+    reset: Reset = "off",
 ) -> Covariance:
     """The covariance after xi <- A xi - 1/2 (I + A) dt b, A = Ad(exp(-[omega; v]^)) J (rad, m).
 
-    J is that of `moved`. It is in the factor of b too, where it does not belong: a second order
-    in correction and time step. In three steps, which take half the products of one: xi <- xi -
-    dt/2 b, A xi, xi - dt/2 b.
+    J is the reset's: I, that of `moved`, or Ad(exp(-x^)) of the correction x, with which "two
+    frames" turns the biases too, b <- exp([-x_theta]x) b. J is in the factor of b as well, where it
+    does not belong: a second order in correction and time step. In three steps, which take half
+    the products of one: xi <- xi - dt/2 b, A xi, xi - dt/2 b.
     """
     zero, one, half = jnp.zeros_like(dt), jnp.ones_like(dt), 0.5 * dt
     begin = ((one, zero, zero, zero), (zero, zero, zero))
-    q, P = move(*(begin if correction is None else _half_way(correction)), omega, v)
+    if reset == "left":
+        begin = _half_way(correction)
+    elif reset == "two frames":
+        begin = _whole_way(correction)
+        covariance = _with_turned_biases(covariance, rows(begin[0]))
+    q, P = move(*begin, omega, v)
     return _less_bias(_turned(_less_bias(covariance, half), rows(q), P), half)
 
 

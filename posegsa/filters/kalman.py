@@ -27,11 +27,13 @@ the observer:
 
 After an update the covariance is left in the coordinates of the estimate before it (as J. Sola,
 J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", arXiv:1812.01537, and
-most filters do); the neglected change is of first order in the correction. With `moves_covariance`
-it is moved to those of the new estimate, in the product that propagates it. That pays after a wrong
+most filters do); the neglected change is of first order in the correction. With `reset` it is
+carried to those of the new estimate, in the product that propagates it: by the Jacobian of the left
+error, or so that the right error of pose and biases as one group keeps its covariance (A. Barrau,
+S. Bonnabel, "The Geometry of Navigation Problems", arXiv:2201.04426). That pays after a wrong
 start, but in float32 it can lose the covariance where measurements are garbage. With `iterations`
-above 1 the update is iterated. Schedules may change
-the noises while the filter runs (`filters.noise_schedules`).
+above 1 the update is iterated. Schedules may change the noises while the filter runs
+(`filters.noise_schedules`).
 
 Vectors are used as measured, neither normalised nor with their cross product, which holds no
 further information: the filter ignores the weights, normalisation and cross product of
@@ -85,6 +87,7 @@ from posegsa.filters.covariance import (
     VECTORS,
     Covariance,
     Found,
+    Reset,
     by_components,
     matrix,
     moved,
@@ -210,8 +213,8 @@ class KalmanFilter:
     iterations: int = field(default=1, metadata={"static": True})
     """How often the measurements of a sample are linearised, each time at the estimate that the
     last time found (an iterated extended Kalman filter)."""
-    moves_covariance: bool = field(default=False, metadata={"static": True})
-    """Whether the covariance is moved to the coordinates of the new estimate after an update."""
+    reset: Reset = field(default="off", metadata={"static": True})
+    """How the covariance is carried to the coordinates of the new estimate after an update."""
     leads: Leads | None = None
     """How far the measured velocities are extrapolated; None leaves them as they are."""
     vector_scales: tuple[float, ...] = field(default=(), metadata={"static": True})
@@ -301,7 +304,7 @@ class KalmanFilter:
             self.signals,
             self.belief_input,
             self.iterations,
-            self.moves_covariance,
+            self.reset,
             self.leads,
             (self.vector_scales, self.landmark_scales),
         )
@@ -318,7 +321,7 @@ class ReadyKalmanFilter(NamedTuple):
     signals: NoiseSignals | None
     belief_input: BeliefInput
     iterations: int
-    moves_covariance: bool
+    reset: Reset
     leads: Leads | None
     scales: tuple[tuple[float, ...], tuple[float, ...]]
     """Multiples of the noise of vectors and of landmarks."""
@@ -335,9 +338,8 @@ class ReadyKalmanFilter(NamedTuple):
             sample, noise, memory, record = self._scheduled(self.signals, state, now)
             state = state._replace(memory=memory)
         updated, found = update(state, sample, noise, self.iterations)
-        moving = found.correction if self.moves_covariance else None
         record = record._replace(nis=found.nis, scalars=found.scalars)
-        after = propagate(updated, moving, sample, noise)
+        after = propagate(updated, found.correction, sample, noise, self.reset)
         if self.unknown is not None and after.estimate.vector_biases:
             after = forgotten(after, sample.time_step, self.noise, noise.vector_walk)
         return after, record
@@ -477,16 +479,20 @@ def _linear_update(
 
 
 def propagate(
-    state: KalmanState, correction: Sequence[Array] | None, sample: Sample, noise: KalmanNoise
+    state: KalmanState,
+    correction: Sequence[Array],
+    sample: Sample,
+    noise: KalmanNoise,
+    reset: Reset = "off",
 ) -> KalmanState:
     """The state at the next sample, by the measured velocities.
 
     Args:
         state: the state at this sample, of the batch shape.
-        correction: of its estimate; its covariance is moved from the coordinates before it. None
-            leaves it there.
+        correction: of its estimate, which its covariance is not in the coordinates of.
         sample: its velocities and its time step are used.
         noise: densities of the velocities' noise and random walks of the biases are used.
+        reset: how the covariance is carried to these coordinates; "off" leaves it.
     """
     estimate, dt = state.estimate, sample.time_step
     omega = scale(dt, subtract(sample.angular_velocity, estimate.bias_angular))
@@ -499,7 +505,7 @@ def propagate(
         *(noise.linear_walk,) * 3,
         *(noise.vector_walk,) * (3 * len(estimate.vector_biases)),
     ]
-    after = transported(state.covariance, correction, omega, v, dt)
+    after = transported(state.covariance, correction, omega, v, dt, reset)
     covariance = tuple(
         (row[0] + dt * density * density, *row[1:])
         for row, density in zip(after, densities, strict=True)

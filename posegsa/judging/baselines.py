@@ -27,8 +27,6 @@ from posegsa.judging.description import (
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CONSTANT,
-    EKF,
-    EKF_VECTORS,
     OPEN_LOOP,
     RANDOM,
     REPLAYED,
@@ -37,7 +35,7 @@ from posegsa.judging.evaluation import (
     UNTUNED,
 )
 from posegsa.judging.metrics import error_tracks
-from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
+from posegsa.judging.tuned_kalman import VARIANTS, kalman_experiment, tune_kalman
 from posegsa.judging.untuned import untuned_kalman
 from posegsa.model.schedules import ConstantGain, KnotGain
 from posegsa.optimisers import Optimiser
@@ -150,9 +148,8 @@ def baselines(experiment: config.Experiment, tuned: Description) -> dict[str, Ba
     if tuned.kind in ("fuzzy", "smooth"):
         found[REPLAYED] = Baseline(experiment, partial(_replayed, tuned=tuned))
     found[RANDOM] = Baseline(experiment, _random)
-    for name in (EKF, EKF_VECTORS):
-        kalman = kalman_experiment(experiment, vector_biases=name == EKF_VECTORS)
-        found[name] = Baseline(kalman, tune_kalman)
+    for name in VARIANTS:
+        found[name] = Baseline(kalman_experiment(experiment, name), tune_kalman)
     found[UNTUNED] = Baseline(untuned_kalman(experiment), None)
     return found
 

@@ -29,6 +29,9 @@ CONTENDERS = (
     OPEN_LOOP,
     EKF,
     EKF_VECTORS,
+    EKF_ITERATED,
+    EKF_GATED,
+    EKF_CLOCK,
     UNTUNED,
     AS_CONFIGURED,
 ) = (
@@ -41,6 +44,9 @@ CONTENDERS = (
     "best open-loop gains",
     "invariant EKF",
     "invariant EKF, vector biases",
+    "invariant EKF, 3 iterations",
+    "invariant EKF, gated",
+    "invariant EKF, noise by the clock",
     "untuned Kalman filter from sensors",
     "before tuning",
 )
@@ -60,6 +66,9 @@ ADVICE = {
     SMOOTH: "`posegsa tune CONFIG --set filter.schedule=smooth`",
     EKF: "`posegsa tune kalman --set filter.vector_bias=off`",
     EKF_VECTORS: "`posegsa tune kalman`",
+    EKF_ITERATED: "`posegsa tune kalman --set filter.iterations=3`",
+    EKF_GATED: "`posegsa tune kalman --set filter.belief=ramp --set filter.belief_smoothing=0`",
+    EKF_CLOCK: "`posegsa tune kalman --set filter.unknown=clock`",
     UNTUNED: "`posegsa export kalman`, with the noises of your sensors",
     AS_CONFIGURED: "use the configuration itself, without a search",
     NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
@@ -106,6 +115,8 @@ class Summary(NamedTuple):
     """Share of scenarios on which the filter diverged."""
     own_minus_this: Interval | None
     """Mean paired difference; below 0 the judged filter is better. None for that filter."""
+    evaluations: int | None
+    """Evaluations of the search that found it, 0 without one; None for the clairvoyant."""
 
 
 def called(name: str) -> str:
@@ -151,6 +162,7 @@ COSTS: _Columns = (
     ("First\nminus this", "+.2f", lambda s: s.own_minus_this.mean if s.own_minus_this else ()),
     ("95 % interval", "+.2f", lambda s: s.own_minus_this.ends if s.own_minus_this else ()),
     ("Diverged\n[%]", ".1f", lambda s: 100 * s.diverged),
+    ("Evaluations\nsearched", ".0f", lambda s: () if s.evaluations is None else s.evaluations),
 )
 """Columns of the cost table, from a `Summary`."""
 BEHAVIOUR: _Columns = (
@@ -244,6 +256,7 @@ class Evaluation:
             worst=float(np.max(costs)),
             diverged=float(np.mean(diverged)),
             own_minus_this=None if name == self.own else self.difference(name),
+            evaluations=None if run is None else run.filter.evaluations,
         )
 
     def tables(self, write: Callable[[float, str], str] = format) -> tuple[Rows, Rows]:

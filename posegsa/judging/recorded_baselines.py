@@ -92,7 +92,7 @@ def _tuned_on(
         description = describe(candidate, problem.experiment, constant.search.evaluations)
         found[CONSTANT] = scored(description, problem.experiment, recordings)
     steps.begin("searching", about=EKF)
-    kalman = kalman_experiment(experiment, vector_biases=False)
+    kalman = kalman_experiment(experiment, EKF)
     kalman = kalman.replace(**{"objective.simulated_share": 0.0})
     problem = recorded_problem(kalman, training, weight, strict=False)
     found[EKF] = scored(tune_kalman(problem), problem.experiment, recordings)

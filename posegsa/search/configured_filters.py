@@ -118,7 +118,7 @@ def filter_of(
             signals=_noise_signals(section, dtype) if section.roles else None,
             belief_input=section.belief_input,
             iterations=section.iterations,
-            moves_covariance=section.moves_covariance,
+            reset=section.reset,
             leads=_leads(experiment, section, dtype),
             vector_scales=section.vector_scales,
             landmark_scales=section.landmark_scales,

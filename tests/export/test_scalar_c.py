@@ -129,13 +129,16 @@ def test_the_c_computes_what_the_function_does(tmp_path):
             jnp.where(far != (b < 0), a, -b),
             jnp.clip(a, -1.0, 1.0) + jnp.minimum(a, b) * jnp.maximum(a, b),
             a**5 - (2 + b * b) ** -3 + a**0 + far.astype(a.dtype) * b,
+            jnp.arctan2(a, b) + jnp.abs(a) ** b,
         )
 
-    count = 7
+    count = 8
     code = written(function, ("x[0]", "x[1]"), tuple(f"y[{i}]" for i in range(count)))
-    functions = "".join(
-        f"static double posegsa_{f}(double x) {{ return {f}(x); }}\n" for f in code.functions
-    )
+    functions = ""
+    for f in code.functions:
+        of = "ab" if f in ("atan2", "pow") else "a"
+        given = ", ".join(f"double {x}" for x in of)
+        functions += f"static double posegsa_{f}({given}) {{ return {f}({', '.join(of)}); }}\n"
     source = (
         "#include <math.h>\n#include <stdio.h>\ntypedef double posegsa_real;\n"
         "#define POSEGSA_C(x) ((posegsa_real)(x))\n"

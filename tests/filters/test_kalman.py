@@ -20,6 +20,7 @@ from jax import Array
 
 from posegsa.errors import ArgumentError
 from posegsa.filters.base import Samples, Sensors, samples_of
+from posegsa.filters.covariance import Reset
 from posegsa.filters.kalman import (
     KalmanFilter,
     KalmanNoise,
@@ -108,11 +109,11 @@ def step(
     sample: Sample,
     noise: KalmanNoise,
     iterations: int = 1,
-    moved: bool = False,
+    reset: Reset = "off",
 ) -> KalmanState:
     """Process one sample, as in a user's own loop."""
     updated, found = update(state, sample, noise, iterations)
-    return propagate(updated, found.correction if moved else None, sample, noise)
+    return propagate(updated, found.correction, sample, noise, reset)
 
 
 def held(state: KalmanState) -> tuple[Array, ...]:
@@ -128,12 +129,12 @@ def one_by_one(
     samples: Sample,
     noise: KalmanNoise,
     iterations: int = 1,
-    moved: bool = False,
+    reset: Reset = "off",
 ) -> tuple[Array, ...]:
     """The numbers of `held` before each of N samples and after the last, (N + 1, ...)."""
 
     def body(state: KalmanState, now: Sample) -> tuple[KalmanState, tuple[Array, ...]]:
-        return step(state, now, noise, iterations, moved), held(state)
+        return step(state, now, noise, iterations, reset), held(state)
 
     last, before = jax.lax.scan(body, state, samples)
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), before, held(last))
@@ -150,11 +151,17 @@ COUNT = 40
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
-    ("vectors", "landmarks", "learnt", "iterations", "moved"),
-    [(1, 0, 0, 1, False), (0, 1, 0, 1, True), (2, 1, 2, 1, False), (1, 1, 0, 3, True)],
-    ids=["12 states, a vector", "moved, a landmark", "18 states", "moved, iterated"],
+    ("vectors", "landmarks", "learnt", "iterations", "reset"),
+    [
+        (1, 0, 0, 1, "off"),
+        (0, 1, 0, 1, "left"),
+        (2, 1, 2, 1, "off"),
+        (1, 1, 0, 3, "left"),
+        (2, 1, 2, 1, "two frames"),
+    ],
+    ids=["12 states, a vector", "reset, a landmark", "18 states", "reset, iterated", "two frames"],
 )
-def test_agrees_with_the_matrix_form(vectors, landmarks, learnt, iterations, moved) -> None:
+def test_agrees_with_the_matrix_form(vectors, landmarks, learnt, iterations, reset) -> None:
     """Measurements that fit no pose, uneven steps and weights, a third of the sensors missing."""
     rng = np.random.default_rng(0)
     m = random_measurements(rng, COUNT, vectors, landmarks, missing=0.3)
@@ -163,9 +170,9 @@ def test_agrees_with_the_matrix_form(vectors, landmarks, learnt, iterations, mov
     state = started(state_of(T, b, learnt_vectors=learnt), noise)
     begin = reference_ekf.start(T, b, learnt, PLAIN)
     each = [sample_of(m, k) for k in range(COUNT)]
-    want = reference_ekf.run(each, begin, PLAIN, iterations, moved)
+    want = reference_ekf.run(each, begin, PLAIN, iterations, reset)
     wanted = zip(*((one.T, one.b, one.c, one.Sigma) for one in want), strict=True)
-    found = one_by_one(state, samples.sample, noise, iterations, moved)
+    found = one_by_one(state, samples.sample, noise, iterations, reset)
     for got, expected in zip(found, wanted, strict=True):
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-9)
 

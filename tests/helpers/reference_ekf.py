@@ -123,13 +123,21 @@ def se3_log(T: Array) -> Array:
     return np.array([xi[2, 1], xi[0, 2], xi[1, 0], *xi[:3, 3]])
 
 
-def propagate(state: State, x: Array | None, s: Sample, noise: Noise) -> State:
-    """The state at the next sample; x is a correction that Sigma has yet to be moved by."""
-    x = np.zeros(6) if x is None else x
+def propagate(state: State, x: Array, s: Sample, noise: Noise, reset: str = "off") -> State:
+    """The state at the next sample; Sigma has yet to be reset by the correction x."""
     u = (np.concatenate([s.omega, s.v]) - state.b) * s.dt
-    A = adjoint(se3_exp(-u)) @ np.linalg.inv(adjoint(half_way(x)))
+    A = adjoint(se3_exp(-u))
+    turned = np.eye(len(state.Sigma))
+    if reset == "left":
+        A = A @ np.linalg.inv(adjoint(half_way(x)))
+    if reset == "two frames":
+        T = se3_exp(np.concatenate([x[:3], x[3:6] / np.sqrt(1 + x[3:6] @ x[3:6] / 100.0**2)]))
+        A = A @ np.linalg.inv(adjoint(T))
+        biases = (len(turned) - 6) // 3
+        turned[6:, 6:] = np.kron(np.eye(biases), T[:3, :3].T)
     F = np.eye(len(state.Sigma))
     F[:6, :6], F[:6, 6:12] = A, -(np.eye(6) + A) / 2 * s.dt
+    F = F @ turned
     densities = np.concatenate(
         [noise.velocity, noise.bias_walk, np.full(state.c.size, noise.vector_walk)]
     )
@@ -138,11 +146,11 @@ def propagate(state: State, x: Array | None, s: Sample, noise: Noise) -> State:
 
 
 def run(
-    samples: list[Sample], state: State, noise: Noise, iterations: int = 1, moved: bool = False
+    samples: list[Sample], state: State, noise: Noise, iterations: int = 1, reset: str = "off"
 ) -> list[State]:
     """The states before each sample and after the last."""
     states = [state]
     for sample in samples:
         updated, x = update(states[-1], sample, noise, iterations)
-        states.append(propagate(updated, x if moved else None, sample, noise))
+        states.append(propagate(updated, x, sample, noise, reset))
     return states

@@ -14,6 +14,9 @@ from posegsa.judging.evaluation import (
     CONSTANT,
     CONTENDERS,
     EKF,
+    EKF_CLOCK,
+    EKF_GATED,
+    EKF_ITERATED,
     EKF_VECTORS,
     OPEN_LOOP,
     RANDOM,
@@ -48,6 +51,12 @@ KNOTS = {"time": [0.0, 7.5, 15.0], "log_gain": np.log([90.0, 50.0, 10.0])}
 NOISES = {one.key: 0.1 for one in KALMAN_ALSO}
 OF_BIASES = ("filter.vector_walk", "filter.initial_vector_bias")
 """Noises of a Kalman filter with the vectors' biases as states."""
+GATES = {
+    f"{role}.{name}": [value]
+    for role in ("vectors", "landmarks")
+    for name, value in (("start", 0.2), ("slope", 100.0))
+}
+CLOCK = {f"unknown.{name}": np.ravel(values).tolist() for name, values in KNOTS.items()}
 FILTERS = {
     TUNED: description("fuzzy", k=K),
     CONSTANT: description("constant", gain=53.5),
@@ -58,6 +67,9 @@ FILTERS = {
     OPEN_LOOP: description("open loop", **KNOTS),
     EKF: Description("kalman", {}, {k: v for k, v in NOISES.items() if k not in OF_BIASES}, 400),
     EKF_VECTORS: Description("kalman", {}, NOISES, 400),
+    EKF_ITERATED: Description("kalman", {}, NOISES, 400),
+    EKF_GATED: Description("kalman", GATES, NOISES, 400),
+    EKF_CLOCK: Description("kalman", CLOCK, NOISES, 400),
     UNTUNED: Description("kalman", {}, {}, 0),
     AS_CONFIGURED: Description("kalman", {}, {}, 0),
 }

@@ -70,7 +70,7 @@ def judged_on(result: Result) -> OnRecordings:
 def kalman_estimates(
     found: Description, experiment: config.Experiment, recording: Recording
 ) -> Estimates:
-    kalman = kalman_experiment(experiment, vector_biases=False)
+    kalman = kalman_experiment(experiment, EKF)
     return posegsa.run_filter(described_filter(found, kalman, None, (2, 1)), recording)
 
 
@@ -95,7 +95,7 @@ def test_other_filters_are_compared_on_the_same_recordings(
     assert ekf.errors["judged"].position < 0.5  # type: ignore[operator]  # there is a position
     assert f"{EKF}, held out" in judged.table()
     # The judged estimates are those of this recording and this part.
-    kalman = kalman_experiment(result.experiment, vector_biases=False)
+    kalman = kalman_experiment(result.experiment, EKF)
     found = tune_kalman(recorded_problem(kalman, recordings[:1], 100.0, strict=False))
     estimates = kalman_estimates(found, result.experiment, recordings[1])
     again = posegsa.recording_errors(estimates, recordings[1]).rmse()["judged"]

@@ -26,7 +26,6 @@ from posegsa.judging.evaluation import (
     CONSTANT,
     CONTENDERS,
     EKF,
-    EKF_VECTORS,
     NOT_TUNED,
     REPLAYED,
     SMOOTH,
@@ -35,6 +34,7 @@ from posegsa.judging.evaluation import (
     Evaluation,
     interval,
 )
+from posegsa.judging.tuned_kalman import VARIANTS
 from posegsa.saving.records import from_json, to_json
 from posegsa.saving.result_files import RESULT, SCHEMA
 from posegsa.search.keys import held_out_keys, training_keys
@@ -46,6 +46,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 FILE = Path("evaluation")
 BESIDE = tuple(name for name in CONTENDERS if name != AS_CONFIGURED)
 """The contenders of a fuzzy gain, which has no numbers but those that are searched."""
+KALMAN_FILTERS = (*VARIANTS, UNTUNED)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +82,7 @@ def test_every_baseline_is_judged_on_the_same_scenarios(evaluated):
     for start in starts:
         np.testing.assert_allclose(start, starts[0], atol=1e-3)
     for name, contender in contenders.items():
-        assert (contender.filter.kind == "kalman") == (name in (EKF, EKF_VECTORS, UNTUNED))
+        assert (contender.filter.kind == "kalman") == (name in KALMAN_FILTERS)
         assert np.isfinite(contender.metrics.cost).all()
 
 
@@ -237,9 +238,8 @@ def test_too_few_scenarios_are_refused(evaluated):
 def test_the_table_holds_every_contender(evaluated):
     text = evaluated[1].on_scenarios.evaluation.table()
     heads = [line[: len(max(BESIDE, key=len))].strip() for line in text.splitlines()]
-    sure = (EKF, EKF_VECTORS, UNTUNED)
     for name in BESIDE:
-        assert heads.count(name) == (3 if name in sure else 2)
+        assert heads.count(name) == (3 if name in KALMAN_FILTERS else 2)
     assert_states(text.splitlines()[0], "Cost", "3 scenarios")
 
 

@@ -14,8 +14,11 @@ from posegsa.filters.rollout import simulate_errors
 from posegsa.judging import tuned_kalman
 from posegsa.judging.baselines import variant_of
 from posegsa.judging.description import Description, candidate_of
+from posegsa.judging.evaluation import EKF, EKF_CLOCK, EKF_GATED, EKF_VECTORS
 from posegsa.judging.metrics import error_tracks
-from posegsa.judging.tuned_kalman import kalman_experiment, tune_kalman
+from posegsa.judging.tuned_kalman import first_agent, kalman_experiment, tune_kalman
+from posegsa.optimisers.search_box import from_unit
+from posegsa.search.candidates import Candidate
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import training_keys
 from posegsa.search.population import costs_by_scenario
@@ -51,7 +54,7 @@ def found(problem, reports):
     patch = pytest.MonkeyPatch()
     patch.setattr(tuned_kalman, "CHECK_INTERVAL", 20)
     patch.setattr(tuned_kalman, "MAX_EVALUATIONS", 40)
-    beside = variant_of(problem, kalman_experiment(TINY, vector_biases=False))
+    beside = variant_of(problem, kalman_experiment(TINY, EKF))
     with steps.listening(reports.append):
         steps.begin("judging", 1, 2)
         yield [tune_kalman(beside) for _ in range(2)]
@@ -80,7 +83,7 @@ def test_noises_are_found_within_their_bounds_and_the_same_again(found) -> None:
 
 def test_tracks_are_those_of_the_filter_one_by_one() -> None:
     """They are simulated in groups of 16; the last group is padded."""
-    experiment = kalman_experiment(TINY, vector_biases=False)
+    experiment = kalman_experiment(TINY, EKF)
     noises = NOISES | {"filter.vector": 0.1, "filter.landmark": 0.1}
     batch = scenario_batch(experiment, training_keys(0, 3))
     several = jax.device_get(batch).select(np.arange(26) % 3)
@@ -101,11 +104,11 @@ def test_tracks_are_those_of_the_filter_one_by_one() -> None:
 
 
 def test_only_with_vector_biases_are_there_such_states(problem) -> None:
-    for vector_biases in (False, True):
-        experiment = kalman_experiment(TINY, vector_biases=vector_biases)
+    for name in (EKF, EKF_VECTORS):
+        experiment = kalman_experiment(TINY, name)
         batch = variant_of(problem, experiment).training
         start = batch.filter.start(jax.tree.map(lambda a: a[0], batch.initial), Sensors(2, 1))
-        assert len(start.covariance) == (18 if vector_biases else 12)
+        assert len(start.covariance) == (18 if name == EKF_VECTORS else 12)
         assert batch.samples.sample.vectors.each[0].measured[0].shape == (3, 200), (
             "each, as measured"
         )
@@ -113,7 +116,7 @@ def test_only_with_vector_biases_are_there_such_states(problem) -> None:
 
 def test_it_reads_what_was_made_for_an_observer_that_learns_the_vectors_biases() -> None:
     learning = tuning_problem(tiny("filter.vector_bias=estimated"))
-    experiment = kalman_experiment(learning.experiment, vector_biases=True)
+    experiment = kalman_experiment(learning.experiment, EKF_VECTORS)
     batch = variant_of(learning, experiment).training
     assert batch.samples is learning.training.samples, "nothing is drawn again"
     again = scenario_batch(experiment, training_keys(0, 3))
@@ -121,3 +124,17 @@ def test_it_reads_what_was_made_for_an_observer_that_learns_the_vectors_biases()
     agent = jax.tree.map(lambda a: a[None], candidate)
     costs = [np.asarray(costs_by_scenario(agent, each)) for each in (batch, again)]
     np.testing.assert_allclose(*costs, rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", [EKF_GATED, EKF_CLOCK])
+def test_the_first_agent_has_the_configured_noises_and_schedules_without_effect(
+    problem, name
+) -> None:
+    """So that a search of schedules can't begin worse than without them."""
+    there = variant_of(problem, kalman_experiment(TINY, name))
+    plain = variant_of(problem, kalman_experiment(TINY, EKF_VECTORS))
+    first = from_unit(there.space.box, first_agent(there))
+    agent = jax.tree.map(lambda a: a[None], there.space.candidate(first))
+    costs = costs_by_scenario(agent, there.training)
+    noises = Candidate(None, agent.values, agent.keys)
+    np.testing.assert_allclose(costs, costs_by_scenario(noises, plain.training), rtol=1e-5)
