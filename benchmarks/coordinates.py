@@ -438,7 +438,6 @@ def contenders(plain: KalmanFilter, known: Array) -> dict[str, Any]:
     """All filters with the noises of posegsa's, by name."""
     found: dict[str, Any] = {
         "posegsa's": plain,
-        "posegsa's, reset left": replace(plain, reset="left"),
         "posegsa's, reset two frames": replace(plain, reset="two frames"),
         "posegsa's, 3 iterations an update": replace(plain, iterations=3),
     }

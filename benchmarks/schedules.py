@@ -117,7 +117,6 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
             off | {"reset": "two frames", "iterations": 3},
             NOISES,
         ),
-        f"straight line{TWO}": ({"unknown": "ramp", "reset": "two frames"}, also),
         f"{CONTROLLER}{TWO}": ({"unknown": "fuzzy", "reset": "two frames"}, also),
         CONTROLLER: ({"unknown": "fuzzy"}, also),
     }

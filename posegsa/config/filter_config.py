@@ -185,9 +185,9 @@ class KalmanConfig(Section):
     iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
     """How many times the measurements of a sample are linearised, each time at the new estimate."""
     reset: Reset = "off"
-    """How the covariance is carried to the coordinates of the new estimate after an update: left as
-    it is ("off"), moved by the Jacobian of the "left" error, or by that of the right error of the
-    group of "two frames", which is best after a wrong start."""
+    """How the covariance is carried to the coordinates of the new estimate after an update: "off"
+    leaves it as it is; with "two frames" the right error of pose and biases as one group keeps its
+    covariance, which is better after a wrong start if the noises are not tuned for it."""
 
     unknown: NoiseScheduleKind = "off"
     """The schedule that multiplies the densities of the velocities' noise and the walk of the

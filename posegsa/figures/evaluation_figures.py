@@ -15,6 +15,9 @@ from posegsa.judging.evaluation import (
     CLAIRVOYANT,
     CONSTANT,
     CONTENDERS,
+    EKF_CLOCK,
+    EKF_GATED,
+    EKF_ITERATED,
     EKF_VECTORS,
     NOT_TUNED,
     SMOOTH,
@@ -34,7 +37,11 @@ FIGURES: list[ResultFigure] = []
 ANGLE_SPREAD = 1.0
 """Minimum range of initial angles for a figure over them [deg]."""
 
-_STYLES: dict[str, Style] = {name: style.curve(i) for i, name in enumerate(CONTENDERS)}
+_LAST = (EKF_ITERATED, EKF_GATED, EKF_CLOCK)
+"""They are never curves but rows with their names, so the others get the clearest styles."""
+_STYLES: dict[str, Style] = {
+    name: style.curve(i) for i, name in enumerate(sorted(CONTENDERS, key=_LAST.__contains__))
+}
 _STYLES |= {NOT_TUNED: _STYLES[TUNED], CLAIRVOYANT: {"color": "0.6", "linestyle": "-"}}
 """Colour and line style of each contender, the same in all figures."""
 _MARKERS = {

@@ -38,7 +38,7 @@ one core, for the paper's three sensors. Sensors of a kind are a loop, so that t
 40 s with 18 states, does not depend on how many there are.
 """
 
-Reset: TypeAlias = Literal["off", "left", "two frames"]
+Reset: TypeAlias = Literal["off", "two frames"]
 """How the covariance is carried to the coordinates of a corrected estimate (`transported`)."""
 
 Row: TypeAlias = dict[int, Array | float]
@@ -234,18 +234,17 @@ def transported(
     dt: Array,
     reset: Reset = "off",
 ) -> Covariance:
-    """The covariance after xi <- A xi - 1/2 (I + A) dt b, A = Ad(exp(-[omega; v]^)) J (rad, m).
+    """The covariance after xi <- A xi - 1/2 (I + A) dt b, A = Ad(exp(-[omega; v]^)) (rad, m).
 
-    J is the reset's: I, that of `moved`, or Ad(exp(-x^)) of the correction x, with which "two
-    frames" turns the biases too, b <- exp([-x_theta]x) b. J is in the factor of b as well, where it
-    does not belong: a second order in correction and time step. In three steps, which take half
-    the products of one: xi <- xi - dt/2 b, A xi, xi - dt/2 b.
+    In three steps, which take half the products of one: xi <- xi - dt/2 b, A xi, xi - dt/2 b.
+
+    With the reset "two frames" of a correction x each bias is turned before, b <- exp(-[x_theta]x)
+    b, and A has the factor Ad(exp(-x^)). The factor is in that of b as well, where it does not
+    belong: a second order in correction and time step.
     """
     zero, one, half = jnp.zeros_like(dt), jnp.ones_like(dt), 0.5 * dt
     begin = ((one, zero, zero, zero), (zero, zero, zero))
-    if reset == "left":
-        begin = _half_way(correction)
-    elif reset == "two frames":
+    if reset == "two frames":
         begin = _whole_way(correction)
         covariance = _with_turned_biases(covariance, rows(begin[0]))
     q, P = move(*begin, omega, v)

@@ -28,12 +28,11 @@ the observer:
 After an update the covariance is left in the coordinates of the estimate before it (as J. Sola,
 J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", arXiv:1812.01537, and
 most filters do); the neglected change is of first order in the correction. With `reset` it is
-carried to those of the new estimate, in the product that propagates it: by the Jacobian of the left
-error, or so that the right error of pose and biases as one group keeps its covariance (A. Barrau,
-S. Bonnabel, "The Geometry of Navigation Problems", arXiv:2201.04426). That pays after a wrong
-start, but in float32 it can lose the covariance where measurements are garbage. With `iterations`
-above 1 the update is iterated. Schedules may change the noises while the filter runs
-(`filters.noise_schedules`).
+carried to those of the new estimate, in the product that propagates it, so that the right error of
+pose and biases as one group keeps its covariance (A. Barrau, S. Bonnabel, "The Geometry of
+Navigation Problems", arXiv:2201.04426). That pays after a wrong start, if the noises are not tuned
+for it. With `iterations` above 1 the update is iterated. Schedules may change the noises while the
+filter runs (`filters.noise_schedules`).
 
 Vectors are used as measured, neither normalised nor with their cross product, which holds no
 further information: the filter ignores the weights, normalisation and cross product of
@@ -489,10 +488,10 @@ def propagate(
 
     Args:
         state: the state at this sample, of the batch shape.
-        correction: of its estimate, which its covariance is not in the coordinates of.
+        correction: that its estimate has had and its covariance has not; used by a reset.
         sample: its velocities and its time step are used.
         noise: densities of the velocities' noise and random walks of the biases are used.
-        reset: how the covariance is carried to these coordinates; "off" leaves it.
+        reset: how the covariance is carried to the coordinates of the estimate; "off" leaves it.
     """
     estimate, dt = state.estimate, sample.time_step
     omega = scale(dt, subtract(sample.angular_velocity, estimate.bias_angular))

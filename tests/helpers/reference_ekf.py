@@ -128,8 +128,6 @@ def propagate(state: State, x: Array, s: Sample, noise: Noise, reset: str = "off
     u = (np.concatenate([s.omega, s.v]) - state.b) * s.dt
     A = adjoint(se3_exp(-u))
     turned = np.eye(len(state.Sigma))
-    if reset == "left":
-        A = A @ np.linalg.inv(adjoint(half_way(x)))
     if reset == "two frames":
         T = se3_exp(np.concatenate([x[:3], x[3:6] / np.sqrt(1 + x[3:6] @ x[3:6] / 100.0**2)]))
         A = A @ np.linalg.inv(adjoint(T))
