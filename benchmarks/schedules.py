@@ -84,6 +84,10 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
             "fixed noises, tuned": ({"belief": "off"}, NOISES),
             "straight line at once": (gate, []),
             "straight line, low-passed": ({"belief": "ramp"}, BELIEF_ALSO),
+            "straight line, low-passed, noises too": (
+                {"belief": "ramp"},
+                [*NOISES, *BELIEF_ALSO],
+            ),
             GATE: (gate, []),
             HUBER: (gate, []),
             f"{HUBER}, noises too": (gate, NOISES),

@@ -25,7 +25,6 @@ from posegsa.judging.evaluation import (
     CONSTANT,
     CONTENDERS,
     EKF,
-    EKF_VECTORS,
     RANDOM,
     REPLAYED,
     SMOOTH,
@@ -33,6 +32,7 @@ from posegsa.judging.evaluation import (
     UNTUNED,
 )
 from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.judging.tuned_kalman import VARIANTS
 from posegsa.model.schedules import (
     SCHEDULES,
     ConstantGain,
@@ -98,10 +98,10 @@ def test_each_other_filter_can_be_compared_with_a_tuned_one(problem, kind) -> No
     of_its_own = {name: kinds[name] for name in (AS_CONFIGURED, REPLAYED, RANDOM) if name in kinds}
     assert set(of_its_own.values()) == {own.filter.kind}
     kalman = {name for name, each in kinds.items() if each == "kalman"} - set(of_its_own)
-    assert kalman == {EKF, EKF_VECTORS, UNTUNED}
+    assert kalman == {*VARIANTS, UNTUNED}
     for name in kalman - {UNTUNED}:
         learns = found[name].experiment.filter.vector_bias == "estimated"
-        assert learns == (name == EKF_VECTORS)
+        assert learns == (name != EKF)
 
 
 def test_a_baseline_is_found_as_what_it_is(problem) -> None:
