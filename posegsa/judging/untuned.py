@@ -74,10 +74,13 @@ def untuned_kalman(experiment: config.Experiment) -> config.Experiment:
 
 
 def with_kalman(experiment: config.Experiment, filter: config.KalmanConfig) -> config.Experiment:
-    """An experiment with a Kalman filter in place of its own filter; all its noises are tuned."""
-    return experiment.replace(
-        filter=filter, tuned=config.TunedConfig(), **{"parameters.also": config.KALMAN_ALSO}
-    )
+    """An experiment with a Kalman filter in place of its own filter; all its noises are tuned.
+
+    The filter has no controller, so [fuzzy] is the default: with rules that are searched no Kalman
+    filter with schedules would be valid.
+    """
+    plain = {"tuned": config.TunedConfig(), "fuzzy": config.FuzzyConfig()}
+    return experiment.replace(filter=filter, **plain, **{"parameters.also": config.KALMAN_ALSO})
 
 
 def always_starts(batch: ScenarioBatch) -> bool:
