@@ -261,7 +261,7 @@ def _in_frame(
     from dataclasses import replace
 
     from posegsa.recordings.checked_files import naming
-    from posegsa.recordings.recording import check_stated
+    from posegsa.recordings.frames import check_stated
 
     used = frame or one.frame or usual
     if used in (None, one.frame):

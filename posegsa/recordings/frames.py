@@ -1,5 +1,6 @@
 """The supported inertial frames, and gravity."""
 
+from collections.abc import Collection
 from typing import Literal
 
 from posegsa.errors import RecordingError
@@ -34,4 +35,15 @@ def checked_frame(frame: object) -> Frame:
     """The inertial frame of this name, in capitals or not; a RecordingError if there is none."""
     if (known := known_frame(frame)) is None:
         raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
+    return known
+
+
+def check_stated(frame: object, sensors: Collection[str]) -> Frame:
+    """The frame; a RecordingError unless it may be stated of a recording with these signals."""
+    known = checked_frame(frame)
+    if "accelerometer" not in sensors:
+        raise RecordingError(
+            f"frame = {frame!r}; allowed: of a recording with an accelerometer (columns ax ay az "
+            "of a CSV file); that of others is the frame of their references"
+        )
     return known

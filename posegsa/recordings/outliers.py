@@ -16,8 +16,13 @@ of that interval. An outlier spoils two steps, so the median is reliable while l
 of the measurements are outliers.
 """
 
+import math
+from numbers import Real
+from typing import Literal
+
 import numpy as np
 
+from posegsa.errors import RecordingError
 from posegsa.recordings.inertial_frame import strapdown
 from posegsa.words import counted
 
@@ -60,6 +65,40 @@ def landmark_outliers(
             distance = np.linalg.norm(y, axis=1)
             outliers[at, i] = _jumps(place, distance, time[at], factor)
     return outliers
+
+
+def without_outliers(
+    values: dict[str, np.ndarray], time: np.ndarray, factor: float | Literal["off"]
+) -> list[str]:
+    """Set the weights of outliers among landmarks to 0, in place; what was done, in words.
+
+    Args:
+        values: the arrays of a recording by name, `Recording.measurements`' own names.
+        time: (K,) since the first sample [s].
+        factor: `landmark_outlier` of `Recording.from_arrays`.
+
+    Raises:
+        RecordingError: The factor is neither a number from 1 on nor "off".
+    """
+    number = isinstance(factor, Real) and not isinstance(factor, bool)
+    if not (factor == "off" if isinstance(factor, str) else number and 1 <= factor < math.inf):
+        raise RecordingError(
+            f'landmark_outlier = {factor!r}; allowed: a number from 1 on, or "off"'
+        )
+    if isinstance(factor, str):
+        return []
+    outliers = landmark_outliers(
+        values["landmarks"],
+        values["landmark_weights"] > 0,
+        values["angular_velocity"],
+        values["velocity"],
+        values["time_step"],
+        factor,
+    )
+    if not outliers.any():
+        return []
+    values["landmark_weights"] = np.where(outliers, 0.0, values["landmark_weights"])
+    return [outliers_in_words(outliers, time, factor)]
 
 
 def outliers_in_words(outliers: np.ndarray, time: np.ndarray, factor: float) -> str:

@@ -2,18 +2,18 @@
 
 import math
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal
 
 import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type
 from posegsa.errors import PosegsaWarning, RecordingError
-from posegsa.model.measurements import Measurements, checked_arrays, finite_array, unmasked
+from posegsa.model.measurements import Measurements, checked_arrays, finite_array
 from posegsa.recordings.archive import read_npz, write_npz
 from posegsa.recordings.beside import (
     BAG_KEYS,
@@ -23,7 +23,6 @@ from posegsa.recordings.beside import (
     read_beside,
 )
 from posegsa.recordings.bridging import (
-    Bridged,
     bridged_samples,
     first_stamp,
     gaps_in,
@@ -34,42 +33,30 @@ from posegsa.recordings.bridging import (
 from posegsa.recordings.broad import read_broad
 from posegsa.recordings.checked_files import as_path, naming
 from posegsa.recordings.euroc import LANDMARKS, read_euroc
-from posegsa.recordings.frames import Frame, checked_frame
-from posegsa.recordings.outliers import landmark_outliers, outliers_in_words
+from posegsa.recordings.frames import Frame, check_stated
+from posegsa.recordings.outliers import without_outliers
 from posegsa.recordings.policies import Policy
 from posegsa.recordings.readers import IN_WORDS, READERS
 from posegsa.recordings.rosbag import Stamps, Topics, is_bag, of_unit_length, read_rosbag
-from posegsa.recordings.rotations import about, matrices
+from posegsa.recordings.rotations import about
 from posegsa.recordings.seen import check_something_is_seen
-from posegsa.recordings.start import FIRST, REST, Start, aligned, with_numpy_arrays
+from posegsa.recordings.sightings import spread_sightings, usual_intervals
+from posegsa.recordings.start import (
+    FIRST,
+    REST,
+    Start,
+    StartRule,
+    aligned,
+    checked_start,
+    with_numpy_arrays,
+)
 from posegsa.recordings.streams import Between, Stream, on_one_clock
 from posegsa.recordings.table import ACCELEROMETER, SENSORS, Columns, read_csv
+from posegsa.recordings.truth import RecordedTruth, checked_truth
 from posegsa.recordings.tum import read_tum, with_tum
 
 LANDMARK_OUTLIER = 7.0
 """Default of `landmark_outlier`: jumps of more than this many medians are outliers."""
-StartRule: TypeAlias = Start | Literal["rest", "sensors"]
-
-
-class RecordedTruth(NamedTuple):
-    """The reference at K samples; NaN where it is unknown."""
-
-    rotation: np.ndarray
-    """(K, 3, 3) R, body to inertial."""
-    position: np.ndarray | None
-    """(K, 3) P [m], inertial frame; None if the position is not judged."""
-
-    @property
-    def known(self) -> np.ndarray:
-        """(K,) True where rotation and position are known."""
-        arrays = [a for a in self if a is not None]
-        finite = [np.isfinite(a).reshape(len(a), -1) for a in arrays]
-        return np.asarray(np.concatenate(finite, axis=1).all(axis=1))
-
-    def each(self, change: Callable[[np.ndarray], np.ndarray]) -> "RecordedTruth":
-        """The reference with a function applied to both arrays."""
-        position = None if self.position is None else change(self.position)
-        return RecordedTruth(change(self.rotation), position)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -225,23 +212,25 @@ class Recording:
         omega, linear = np.hsplit(known_everywhere(found, velocities, bridge), 2)
         if truth_rotation is not None and truth_quaternion is not None:
             raise RecordingError("truth_rotation, truth_quaternion: give one of the two")
-        truth = _truth(samples, truth_rotation, truth_quaternion, truth_position, attitude_only)
+        truth = checked_truth(
+            samples, truth_rotation, truth_quaternion, truth_position, attitude_only
+        )
         values = checked_arrays(
             time_step=np.append(np.diff(found.time), np.median(np.diff(found.time))),
             angular_velocity=omega,
             velocity=linear,
-            **_spread_sightings(
+            **spread_sightings(
                 "vector", found, samples, vectors, vector_references, vector_weights
             ),
-            **_spread_sightings(
+            **spread_sightings(
                 "landmark", found, samples, landmarks, landmark_references, landmark_weights
             ),
         )
-        changes = [*found.notes, *_without_outliers(values, found.time, landmark_outlier)]
+        changes = [*found.notes, *without_outliers(values, found.time, landmark_outlier)]
         intervals = {}
         for kind in ("vector", "landmark"):
             weights = values[f"{kind}_weights"]
-            each = _intervals(weights > 0) if weights_by_rate else np.ones(weights.shape[1])
+            each = usual_intervals(weights > 0) if weights_by_rate else np.ones(weights.shape[1])
             values[f"{kind}_weights"] = weights * each
             intervals[f"{kind}_interval"] = each
         if truth is not None:
@@ -257,7 +246,7 @@ class Recording:
                 str(key): found.spread(_mask(f"phases[{key!r}]", mask, samples), False)
                 for key, mask in (phases or {}).items()
             },
-            start=_start(start),
+            start=checked_start(start),
             attitude_only=attitude_only,
             sources={str(key): str(words) for key, words in (sources or {}).items()},
             notes=(*notes, *changes),
@@ -742,17 +731,6 @@ class Recording:
         return slice(0, len(rest) if rest.all() else int(np.argmin(rest)))
 
 
-def check_stated(frame: object, sensors: Collection[str]) -> Frame:
-    """The frame; a RecordingError unless it may be stated of a recording with these signals."""
-    known = checked_frame(frame)
-    if "accelerometer" not in sensors:
-        raise RecordingError(
-            f"frame = {frame!r}; allowed: of a recording with an accelerometer (columns ax ay az "
-            "of a CSV file); that of others is the frame of their references"
-        )
-    return known
-
-
 def _mask(name: str, mask: ArrayLike, samples: int) -> np.ndarray:
     array = np.asarray(mask)
     if array.ndim == 0:
@@ -773,120 +751,3 @@ def _stamp(name: str, stamp: Any) -> int | float:
     if isinstance(stamp, Real) and not isinstance(stamp, bool) and math.isfinite(stamp):
         return int(stamp) if isinstance(stamp, Integral) else float(stamp)
     raise RecordingError(f"{name} = {stamp!r}; allowed: an integer in ns, or a float in s")
-
-
-def _start(start: Any) -> StartRule:
-    """A checked start from a user."""
-    if isinstance(start, str):
-        if start not in ("rest", "sensors"):
-            raise RecordingError(f'start = {start!r}; allowed: "rest", "sensors" or a pose')
-        return start
-    if not isinstance(start, Sequence) or len(start) not in (2, 3):
-        raise RecordingError(
-            'start: must be "rest", "sensors" or a pose, (rotation (3, 3), position (3,)) or with '
-            "the bias (6,)"
-        )
-    rotation = finite_array("start rotation", start[0], (3, 3))
-    _check_rotations("start rotation", rotation[None])
-    bias = np.zeros(6) if len(start) == 2 else finite_array("start bias", start[2], (6,))
-    return Start(rotation, finite_array("start position", start[1], (3,)), bias)
-
-
-def _truth(
-    samples: int,
-    rotation: ArrayLike | None,
-    quaternion: ArrayLike | None,
-    position: ArrayLike | None,
-    attitude_only: bool,
-) -> RecordedTruth | None:
-    """The checked reference, without a position if that is not estimated."""
-    if quaternion is not None:
-        q = finite_array("truth_quaternion", quaternion, (samples, 4), finite=False)
-        length = np.linalg.norm(q, axis=1, keepdims=True)
-        off = np.abs(length - 1) > 0.05  # False for NaN
-        if off.any():
-            k = int(np.argmax(off))
-            raise RecordingError(
-                f"truth_quaternion: must have the length 1, got {length[k, 0]:.4g} at sample {k}"
-            )
-        R = matrices(q / length)
-    elif rotation is not None:
-        R = finite_array("truth_rotation", rotation, (samples, 3, 3), finite=False)
-        _check_rotations("truth_rotation", R)
-    elif position is not None:
-        raise RecordingError("truth_position: given without a truth_rotation or truth_quaternion")
-    else:
-        return None
-    if position is None or attitude_only:
-        return RecordedTruth(R, None)
-    return RecordedTruth(R, finite_array("truth_position", position, (samples, 3), finite=False))
-
-
-def _check_rotations(name: str, R: np.ndarray) -> None:
-    """Raise a RecordingError unless the finite matrices of R (K, 3, 3) are rotations."""
-    known = np.isfinite(R).all(axis=(1, 2))
-    some = R[known]
-    off = np.abs(some @ some.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0) > 1e-3
-    off |= np.linalg.det(some) < 0
-    if off.any():
-        k = int(np.flatnonzero(known)[np.argmax(off)])
-        raise RecordingError(f"{name}: must be rotations, got {R[k].tolist()} at sample {k}")
-
-
-def _spread_sightings(
-    kind: str,
-    found: Bridged,
-    samples: int,
-    body: ArrayLike | None,
-    references: ArrayLike | None,
-    weights: ArrayLike | None,
-) -> dict[str, Any]:
-    """Arguments of vectors or landmarks at the bridged samples, NaN at those filled in."""
-
-    def at_samples(name: str, value: ArrayLike | None, missing: float, constant: int) -> Any:
-        array = None if value is None else np.asarray(unmasked(value))
-        if array is None or array.ndim <= constant:
-            return value  # constant over samples
-        if len(array) != samples:
-            raise RecordingError(f"{name}: must have {samples} rows, got {len(array)}")
-        return found.spread(array, missing)
-
-    return {
-        name: at_samples(name, value, missing, constant)
-        for name, value, missing, constant in (
-            (f"{kind}s", body, math.nan, 0),
-            (f"{kind}_references", references, 1.0, 2),
-            (f"{kind}_weights", weights, 0.0, 1),
-        )
-    }
-
-
-def _without_outliers(
-    values: dict[str, np.ndarray], time: np.ndarray, factor: float | Literal["off"]
-) -> list[str]:
-    """Set the weights of outliers among landmarks to 0, in place; what was done, in words."""
-    number = isinstance(factor, Real) and not isinstance(factor, bool)
-    if not (factor == "off" if isinstance(factor, str) else number and 1 <= factor < math.inf):
-        raise RecordingError(
-            f'landmark_outlier = {factor!r}; allowed: a number from 1 on, or "off"'
-        )
-    if isinstance(factor, str):
-        return []
-    outliers = landmark_outliers(
-        values["landmarks"],
-        values["landmark_weights"] > 0,
-        values["angular_velocity"],
-        values["velocity"],
-        values["time_step"],
-        factor,
-    )
-    if not outliers.any():
-        return []
-    values["landmark_weights"] = np.where(outliers, 0.0, values["landmark_weights"])
-    return [outliers_in_words(outliers, time, factor)]
-
-
-def _intervals(seen: np.ndarray) -> np.ndarray:
-    """Median number of samples (n,) between measurements, from where each was seen (K, n)."""
-    found = [np.diff(np.flatnonzero(column)) for column in seen.T]
-    return np.array([float(np.median(steps)) if steps.size else 1.0 for steps in found])

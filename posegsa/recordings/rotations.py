@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from posegsa.errors import RecordingError
 from posegsa.recordings.frames import NORTH, UP, Frame
 
 
@@ -80,3 +81,14 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
 def to_east_north_up(frame: Frame) -> np.ndarray:
     """The rotation (3, 3) that takes coordinates in a frame to east, north, up."""
     return np.array([np.cross(NORTH[frame], UP[frame]), NORTH[frame], UP[frame]], float)
+
+
+def check_rotations(name: str, R: np.ndarray) -> None:
+    """Raise a RecordingError unless the finite matrices of R (K, 3, 3) are rotations."""
+    known = np.isfinite(R).all(axis=(1, 2))
+    some = R[known]
+    off = np.abs(some @ some.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0) > 1e-3
+    off |= np.linalg.det(some) < 0
+    if off.any():
+        k = int(np.flatnonzero(known)[np.argmax(off)])
+        raise RecordingError(f"{name}: must be rotations, got {R[k].tolist()} at sample {k}")

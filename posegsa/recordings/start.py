@@ -1,13 +1,14 @@
 """Initial estimates: a given pose, or a pose from the measurements."""
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.errors import RecordingError
-from posegsa.model.measurements import Measurements
+from posegsa.model.measurements import Measurements, finite_array
+from posegsa.recordings.rotations import check_rotations
 
 FIRST = 0.1
 """Averaging time of measurements for a start in motion [s]."""
@@ -28,6 +29,26 @@ class Start(NamedTuple):
     """(3,) P_est [m], inertial frame; zeros if the position is not estimated."""
     bias: np.ndarray
     """(6,) b_est, body frame [rad/s, m/s], angular first."""
+
+
+StartRule: TypeAlias = Start | Literal["rest", "sensors"]
+
+
+def checked_start(start: Any) -> StartRule:
+    """A checked start from a user."""
+    if isinstance(start, str):
+        if start not in ("rest", "sensors"):
+            raise RecordingError(f'start = {start!r}; allowed: "rest", "sensors" or a pose')
+        return start
+    if not isinstance(start, Sequence) or len(start) not in (2, 3):
+        raise RecordingError(
+            'start: must be "rest", "sensors" or a pose, (rotation (3, 3), position (3,)) or with '
+            "the bias (6,)"
+        )
+    rotation = finite_array("start rotation", start[0], (3, 3))
+    check_rotations("start rotation", rotation[None])
+    bias = np.zeros(6) if len(start) == 2 else finite_array("start bias", start[2], (6,))
+    return Start(rotation, finite_array("start position", start[1], (3,)), bias)
 
 
 def with_numpy_arrays(arrays: Mapping[str, Any]) -> Measurements:
