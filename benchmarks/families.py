@@ -32,10 +32,15 @@ FAMILIES: dict[str, tuple[str, dict[str, Any]]] = {
         {"bursts": {"rate": 0.1, "duration": [1.0, 5.0], "size": 1.0}},
     ),
     "as in the field, 60 s": ("field", {}),
+    "as in the field, biases drawn": ("field", DRAWN),
     "the paper's start, 15 s": ("paper_start", {}),
     "the paper's start, 60 s": ("paper_minute", {}),
 }
 """By name: the configuration of its scenarios and cost, and changes of [family]."""
+
+
+STARTS = {"sensors": "from its sensors", "given": "as given"}
+"""`scenario.start` in words."""
 
 
 def with_family(file: str, changes: dict[str, Any]) -> config.Experiment:
@@ -62,13 +67,18 @@ def words(costs: np.ndarray) -> str:
     return f"{np.mean(costs):.1f} ({np.quantile(costs, 0.99):.0f})"
 
 
-def options_of(about: str, which: int, pages: str) -> argparse.Namespace:
+def parser_of(about: str, which: int, pages: str) -> argparse.ArgumentParser:
     """Options of a command that judges filters on held-out scenarios, by default set `which`."""
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--scenarios", type=int, default=1000)
     parser.add_argument("--set", type=int, default=which, help="which held-out scenarios")
     parser.add_argument("--write", action="store_true", help=f"into {pages}")
-    return parser.parse_args()
+    return parser
+
+
+def options_of(about: str, which: int, pages: str) -> argparse.Namespace:
+    """The same, parsed."""
+    return parser_of(about, which, pages).parse_args()
 
 
 def main() -> None:

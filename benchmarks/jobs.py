@@ -11,7 +11,7 @@ import re
 from typing import NamedTuple
 
 import numpy as np
-from families import options_of, with_scenarios, words
+from families import STARTS, options_of, with_scenarios, words
 from readme import ROOT, write_block
 
 import posegsa
@@ -57,9 +57,6 @@ JOBS = (
         *("sparse", "sparse", "given", "`sparse`, 2 vectors, 3 landmarks"),
     ),
 )
-
-
-STARTS = {"sensors": "from its sensors", "given": "as given"}
 
 
 def step_in_c(name: str) -> str:

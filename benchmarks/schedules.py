@@ -30,13 +30,14 @@ from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import candidate_of, configured_filter
 from posegsa.model.schedules import RampGain
 from posegsa.optimisers import Search
+from posegsa.optimisers.search_box import to_unit
 from posegsa.search.candidates import Candidate, ScheduleSpace, SimpleSpace
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
 from posegsa.search.population import costs_by_scenario
-from posegsa.search.problem import tuning_problem
-from posegsa.search.run_search import run_search
+from posegsa.search.problem import TuningProblem, tuning_problem
+from posegsa.search.run_search import first_search, run_search
 from posegsa.search.schedule_spaces import NoiseSpaces
 from posegsa.search.search_spaces import role_space, search_space
 from posegsa.words import text_table
@@ -55,7 +56,7 @@ BELIEF_ALSO = [
 ENOUGH, LEAST, MOST = 500, 0.005, 4
 """Evaluations and share of the cost, and factor on the common number of evaluations."""
 CONTROLLER = "the paper's controller"
-TWO = ", reset in two frames"
+TWO, NOISES_TOO = ", reset in two frames", ", noises too"
 TIED, BOTH = f"{CONTROLLER}, one for all sensors", f"{CONTROLLER}, both roles"
 GATE, HUBER, POWER, SAGE_HUSA = "gate", "Huber", "plain residual law", "Sage and Husa"
 RULES: dict[str, tuple[list[tuple[float, float]], Callable[[Array], RampGain]]] = {
@@ -84,17 +85,17 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
             "fixed noises, tuned": ({"belief": "off"}, NOISES),
             "straight line at once": (gate, []),
             "straight line, low-passed": ({"belief": "ramp"}, BELIEF_ALSO),
-            "straight line, low-passed, noises too": (
+            f"straight line, low-passed{NOISES_TOO}": (
                 {"belief": "ramp"},
                 [*NOISES, *BELIEF_ALSO],
             ),
             GATE: (gate, []),
             HUBER: (gate, []),
-            f"{HUBER}, noises too": (gate, NOISES),
+            f"{HUBER}{NOISES_TOO}": (gate, NOISES),
             POWER: ({"belief": "ramp"}, BELIEF_ALSO),
-            f"{POWER}, noises too": ({"belief": "ramp"}, [*NOISES, *BELIEF_ALSO]),
+            f"{POWER}{NOISES_TOO}": ({"belief": "ramp"}, [*NOISES, *BELIEF_ALSO]),
             SAGE_HUSA: ({"belief": "ramp", "belief_input": "variance"}, BELIEF_ALSO),
-            f"{SAGE_HUSA}, noises too": (
+            f"{SAGE_HUSA}{NOISES_TOO}": (
                 {"belief": "ramp", "belief_input": "variance"},
                 [*NOISES, *BELIEF_ALSO],
             ),
@@ -105,8 +106,8 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
             ),
             TIED: ({"belief": "fuzzy"}, BELIEF_ALSO),
             BOTH: ({"belief": "fuzzy", "unknown": "fuzzy"}, BELIEF_ALSO),
-            f"{CONTROLLER}, noises too": ({"belief": "fuzzy"}, [*NOISES, *BELIEF_ALSO]),
             CONTROLLER: ({"belief": "fuzzy"}, BELIEF_ALSO),
+            f"{CONTROLLER}{NOISES_TOO}": ({"belief": "fuzzy"}, [*NOISES, *BELIEF_ALSO]),
         }
     off = {"unknown": "off"}
     return {
@@ -121,7 +122,17 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
             off | {"reset": "two frames", "iterations": 3},
             NOISES,
         ),
+        f"straight line{TWO}": ({"unknown": "ramp", "reset": "two frames"}, also),
         f"{CONTROLLER}{TWO}": ({"unknown": "fuzzy", "reset": "two frames"}, also),
+        **{
+            f"{rule}{NOISES_TOO}": (off | {"belief": "ramp"} | of_rule, [*NOISES, *smoothed])
+            for rule, of_rule, smoothed in (
+                (GATE, {"belief_smoothing": 0.0}, []),
+                (HUBER, {"belief_smoothing": 0.0}, []),
+                (POWER, {}, BELIEF_ALSO),
+                (SAGE_HUSA, {"belief_input": "variance"}, BELIEF_ALSO),
+            )
+        },
         CONTROLLER: ({"unknown": "fuzzy"}, also),
     }
 
@@ -209,10 +220,18 @@ class Searched(NamedTuple):
     candidate: Candidate
     training: float
     evaluations: int
+    position: Array
+    """(d,) of the candidate, in the units of the search box."""
+    keys: tuple[str, ...]
+    """Names of its last numbers, those that are tuned in addition to a schedule."""
 
 
-def search(name: str, one: config.Experiment) -> Searched:
-    """The best candidate of a contender's search."""
+def search(name: str, one: config.Experiment, simpler: Searched | None = None) -> Searched:
+    """The best candidate of a contender's search.
+
+    With `simpler`, what the same schedule's search found with the noises as configured, the first
+    agent is that filter.
+    """
     agents, number = one.search.agents, one.search.evaluations
     iterations = MOST * one.search.total_iterations
     one = one.replace(**{"search.iterations": iterations})
@@ -234,11 +253,32 @@ def search(name: str, one: config.Experiment) -> Searched:
                 raise EnoughSearched(search)
 
     try:
-        found = run_search(problem, after_chunk=stop).search
+        begin = first_search(problem)
+        if simpler is not None:
+            unit = to_unit(problem.space.box, with_configured(one, problem, simpler))
+            begin = begin._replace(state=one.search.begin_at(begin.state, unit))
+        found = run_search(problem, search=begin, after_chunk=stop).search
     except EnoughSearched as enough:
         found = enough.search
-    candidate = problem.space.candidate(found.best_position)
-    return Searched(candidate, float(found.best_cost), int(found.iteration) * agents)
+    position = found.best_position
+    return Searched(
+        problem.space.candidate(position),
+        float(found.best_cost),
+        int(found.iteration) * agents,
+        position,
+        problem.space.keys,
+    )
+
+
+def with_configured(one: config.Experiment, problem: TuningProblem, simpler: Searched) -> Array:
+    """(d,) the position of a simpler search, and the numbers that it lacks as configured."""
+    space, there = problem.space, len(simpler.position) - len(simpler.keys)
+    known = dict(zip(simpler.keys, simpler.position[there:], strict=True))
+    numbers = list(simpler.position[:there])
+    for key, logarithmic in zip(space.keys, space.logarithmic, strict=True):
+        value = getattr(one.filter, key.removeprefix("filter."))
+        numbers.append(known.get(key, math.log(value) if logarithmic else value))
+    return jnp.asarray(numbers, simpler.position.dtype)
 
 
 def row(name: str, found: Searched | None, costs: np.ndarray, beside: np.ndarray) -> list[str]:
@@ -274,7 +314,8 @@ def main() -> None:
             if options.only and name not in (CONTROLLER, *options.only):
                 continue
             one = contender
-            best = search(name, one) if searched else None
+            simpler = found.get(name.removesuffix(NOISES_TOO), (None,))[0]
+            best = search(name, one, simpler) if searched else None
             candidate = as_configured(one) if best is None else best.candidate
             found[name] = best, held_out(one, candidate, keys)
             after = "" if best is None else f" after {best.evaluations} evaluations"
