@@ -34,13 +34,14 @@ from schedules import FAMILY_START
 import posegsa
 from posegsa import config
 from posegsa.filters.base import Record, Samples, Sensors
-from posegsa.filters.kalman import AS_MEASURED, KalmanFilter, KalmanNoise
+from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.uncertainty import PoseCovariance
 from posegsa.judging.metrics import CONSISTENT_NEES, error_tracks, metrics_of
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, prepare
 from posegsa.model.se3 import stack, unstack
+from posegsa.model.vectors import AS_MEASURED
 from posegsa.search.candidates import Candidate
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.drawn_scenarios import scenario_batch

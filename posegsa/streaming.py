@@ -20,11 +20,14 @@ from posegsa.filters.online import OnlineLoop, OnlineParameters, OnlineRecord
 from posegsa.judging.result import Result
 from posegsa.model import limits
 from posegsa.model.estimate import FilterState, checked_state
+from posegsa.model.first_pose import first_pose
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import are_collinear, why_attitude_unobservable, why_unobservable
 from posegsa.recordings.bridging import SLOWEST
 from posegsa.recordings.frames import GRAVITY
 from posegsa.recordings.imu import references as imu_references
+from posegsa.recordings.start import with_numpy_arrays
+from posegsa.words import counted
 
 FORMAT = 4
 """Version of the checkpoint's layout."""
@@ -33,6 +36,8 @@ FIRST = 50
 """Number of the first samples of a stream that show a wrong unit, if all of them do."""
 
 _STILL = np.zeros(3)
+_ORIGIN = np.eye(3), np.zeros(3)
+_first_pose = jax.jit(first_pose)
 
 
 class Pose(NamedTuple):
@@ -69,6 +74,11 @@ class PoseFilter:
     A time step in milliseconds, or an acceleration in multiples of g for the attitude filter, is no
     error, but a PosegsaWarning once the first samples (FIRST) all look like it.
 
+    Without a rotation and position the filter starts from its sensors: at the first sample that
+    fixes a pose by itself, with a landmark and two directions that are not parallel, of vectors and
+    of landmarks about their centre (`posegsa.model.first_pose`). Until then it is `waiting`, and
+    its pose is NaN. A filter without landmarks needs two vectors, and its position starts at 0.
+
     A refused update changes nothing. The next one may continue from there, with the whole time that
     has passed. Returned arrays are copies. A filter can be pickled; the process that unpickles it
     compiles it again.
@@ -78,9 +88,9 @@ class PoseFilter:
             `Observer` with a schedule, a `KalmanFilter`, an `AttitudeFilter`, or your own
             (`posegsa.filters.base.Filter`). A result brings the references of its experiment or
             recordings; the weights of its recordings are in its filter.
-        rotation: (3, 3) R_est at the first sample, body to inertial. The attitude filter needs
-            none: its first samples turn it upright and to the north.
-        position: (3,) P_est there [m], inertial frame; not for the attitude filter.
+        rotation: (3, 3) R_est at the first sample, body to inertial; by default from the sensors.
+            The attitude filter begins upright and to the north by itself.
+        position: (3,) P_est there [m], inertial frame, together with `rotation`.
         bias: (6,) b_est there [rad/s, m/s], body frame, angular first; zeros by default.
         vector_references: (n, 3) v_i^I, the vectors in the inertial frame, in the order of
             `update`; by default those of the result, or none. Vectors beyond those of the
@@ -133,8 +143,8 @@ class PoseFilter:
                 vector_references = imu_references()
             rotation = np.eye(3) if rotation is None else rotation
             position = np.zeros(3) if position is None else position
-        if rotation is None or position is None:
-            refuse("rotation, position: not both given", "both, or the attitude filter (imu)")
+        if (rotation is None) != (position is None):
+            refuse("rotation, position: one without the other", "both, or neither")
         vectors = _references("vector_references", vector_references)
         landmarks = _references("landmark_references", landmark_references)
         if isinstance(source, Result):
@@ -149,7 +159,9 @@ class PoseFilter:
         if self._inertial and len(vectors) == 2 and are_collinear(*vectors):
             refuse("vector_references: are parallel", "up and north, which are not")
         limits.POSITION.checked("landmark_references", landmarks)
-        start = self._state(rotation, position, bias)
+        self._bias = bias
+        given = None if rotation is None or position is None else (rotation, position)
+        start = self._state(*(given or _ORIGIN), bias)
         parameters = OnlineParameters(filter, vectors, landmarks)
         with jax.enable_x64(self._dtype == np.float64):
             self._loop = OnlineLoop(parameters, start)
@@ -157,7 +169,19 @@ class PoseFilter:
         self._rotation_at, estimate = where.rotation, where.estimate
         self._quaternion_at, self._position_at = map(np.array, (estimate.attitude, estimate.place))
         self._estimate_at = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(estimate)])
-        self._start = self._loop.start(start)
+        if given is not None:
+            self._start = self._loop.start(start)
+        else:
+            if (
+                self._shown(vectors, np.ones(len(vectors)), landmarks, np.ones(len(landmarks)))
+                is None
+            ):
+                refuse(
+                    f"rotation, position: not given, and {counted(len(vectors), 'vector')} and "
+                    f"{counted(len(landmarks), 'landmark')} never show a pose in one sample",
+                    "both; or two directions that are not parallel, and a landmark",
+                )
+            self._start = np.full(self._loop.record.size, np.nan, self._dtype)
         gravity = float(np.linalg.norm(vectors[0])) if self._inertial and len(vectors) else None
         self._first = _FirstSamples(gravity)
         self._begin(self._start)
@@ -216,13 +240,18 @@ class PoseFilter:
         vectors_seen, vector_factors = self._vectors.seen(vectors, vector_weights)
         landmarks_seen, landmark_factors = self._landmarks.seen(landmarks, landmark_weights)
         factors = np.concatenate([vector_factors, landmark_factors])
+        before = self._record
+        if self.waiting:
+            shown = self._shown(vectors_seen, vector_factors, landmarks_seen, landmark_factors)
+            before = before if shown is None else self._loop.start(self._state(*shown, self._bias))
         sample = [
             *([self._time, dt], omega, v),
             *(vectors_seen.ravel(), vector_factors, landmarks_seen.ravel(), landmark_factors),
         ]  # in the order of OnlineSample
-        record = self._loop(self._record, np.concatenate(sample).astype(self._dtype))
-        self._check_estimate(record)
-        self._record = record
+        if not np.isnan(before).all():
+            record = self._loop(before, np.concatenate(sample).astype(self._dtype))
+            self._check_estimate(record)
+            self._record = record
         ages[2:][factors > 0] = 0
         self._ages, self._velocities = ages, (omega, v)
         self._time, self._time_step = self._time + dt, dt
@@ -236,6 +265,11 @@ class PoseFilter:
     def pose(self) -> Pose:
         """The pose that the last update returned; before the first, the initial pose."""
         return Pose(self._record[self._rotation_at], self._record[self._position_at])
+
+    @property
+    def waiting(self) -> bool:
+        """Whether no sample has shown a pose to start from yet."""
+        return bool(np.isnan(self._record[self._rotation_at]).all())
 
     @property
     def state(self) -> FilterState:
@@ -328,7 +362,7 @@ class PoseFilter:
         position: ArrayLike | None = None,
         bias: ArrayLike | None = None,
     ) -> None:
-        """Start again, as if just constructed: at the initial pose, or at another one.
+        """Start again, as if just constructed: from the initial pose or the sensors, or at a pose.
 
         Args:
             rotation: (3, 3) R_est, body to inertial.
@@ -379,7 +413,8 @@ class PoseFilter:
         if (given["clock"] < 0).any():
             refuse("checkpoint: clock holds a negative time", "times from 0 on")
         known = {name: np.isfinite(given[name]) for name in ("record", "velocities", "clock")}
-        if given["clock"][0] == 0:  # a new filter has some NaN, such as the last error
+        waiting = np.isnan(self._start).all() and np.isnan(given["record"]).all()
+        if waiting or given["clock"][0] == 0:  # a new filter has some NaN, such as the last error
             known["record"] |= ~np.isfinite(self._start)
         else:  # the state may hold infinity, the estimate not (`_check_estimate`)
             hidden = np.ones(len(known["record"]), bool)
@@ -397,6 +432,37 @@ class PoseFilter:
     @property
     def _unpacked(self) -> OnlineRecord:
         return self._loop.record.unpack(self._record)
+
+    def _shown(
+        self,
+        vectors: np.ndarray,
+        of_vectors: np.ndarray,
+        landmarks: np.ndarray,
+        of_landmarks: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Rotation and position that measurements (n, 3), (m, 3) show, if they fix a pose.
+
+        Weights are (n,) and (m,), 0 for a missing one.
+        """
+        if np.count_nonzero(of_vectors) + np.count_nonzero(of_landmarks) < 2:
+            return None  # too few; and nothing is compiled for a filter without sensors
+        still = np.zeros((1, 3))
+        one = with_numpy_arrays(
+            {
+                "time_step": np.ones(1),
+                "angular_velocity": still,
+                "velocity": still,
+                "vectors": vectors[None],
+                "vector_references": self._vectors.references[None],
+                "vector_weights": of_vectors[None],
+                "landmarks": landmarks[None],
+                "landmark_references": self._landmarks.references[None],
+                "landmark_weights": of_landmarks[None],
+            }
+        )
+        with jax.enable_x64(self._dtype == np.float64):
+            found = _first_pose(jax.tree.map(lambda a: jnp.asarray(a, self._dtype), one))
+        return None if int(found.sample) else (np.array(found.rotation), np.array(found.position))
 
     def _state(
         self, rotation: ArrayLike, position: ArrayLike, bias: ArrayLike | None

@@ -29,9 +29,8 @@ static inline int posegsa_are_numbers(const posegsa_real *x, int n)
 {% if start %}
 /* Starts a filter. attitude: quaternion of any length but 0; position [m], inertial frame. The
  * covariance begins with standard deviations of {{ start.degrees }} deg about and {{ start.metres }} m along each axis: give a
- * pose whose error is at most a few of these. The header can't start from the sensors by itself; a
- * pose computed from the first vectors and a landmark is good enough. Returns POSEGSA_OK, or an
- * error code and does not change the state. */
+ * pose whose error is at most a few of these{{ ", such as that of posegsa_init_from" if "show" in calls }}. Returns POSEGSA_OK,
+ * or an error code and does not change the state. */
 {% else %}
 {{ super() -}}
 {% endif %}
@@ -77,8 +76,8 @@ static inline int posegsa_are_numbers(const posegsa_real *x, int n)
 {% block step_variables %}
 {% if uses_reach %}
     posegsa_real farthest = 0; /* square of the distance to the farthest landmark [m^2] */
-{% endif %}
     int i;
+{% endif %}
 {% endblock %}
 {% block more_functions %}
 {% if states %}

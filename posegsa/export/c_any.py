@@ -27,6 +27,7 @@ from posegsa.export.c_step import (
     one_measurement,
     rotation_matrix,
     sample_of,
+    shown_pose,
     values_of,
     vec3,
 )
@@ -255,7 +256,8 @@ class _Step:
             Piece.of("advance", "the state at the next sample", after),
             rotation_matrix(),
         ]
-        return {piece.name: piece for piece in pieces}
+        first = {} if self.alone else shown_pose(sample, attitude_only=False)
+        return {piece.name: piece for piece in pieces} | first
 
 
 def _in_a_known_frame(sample: Sample, known: References) -> Sample:

@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.arguments import refuse
 from posegsa.export.scalar_c import Code, literal, written
+from posegsa.export.scalar_loops import written_in_loops
 from posegsa.export.scalar_trace import Known
 from posegsa.filters.observer import (
     FilterSettings,
@@ -28,7 +30,9 @@ from posegsa.filters.observer import (
     see,
 )
 from posegsa.model import se3
+from posegsa.model.elementwise import choose
 from posegsa.model.estimate import FilterState
+from posegsa.model.first_pose import shown
 from posegsa.model.limits import POSITION, VECTOR
 from posegsa.model.measurements import Measurements, finite_array
 from posegsa.model.sample import LandmarkSample, Sample, Seen, prepare
@@ -167,6 +171,7 @@ class Piece:
             "w": "posegsa_work *w",
             "next": "posegsa_state *next",
             "rotation": "posegsa_real rotation[3][3]",
+            "pose": "posegsa_real pose[8]",
         }
         return {name: kind for name, kind in kinds.items() if self.code.mentions(name)}
 
@@ -289,6 +294,7 @@ class Step:
                 ("next->unknown",),
             )
         self.pieces["rows"] = rotation_matrix()
+        self.pieces |= shown_pose(sample, self.attitude_only)
 
     def _piece(
         self, name: str, about: str, function: Callable[..., Any], arguments: Any, results: Any
@@ -401,6 +407,26 @@ def sample_of(
         ),
         reach=_scalar(farthest if landmarks else 0.0),
     )
+
+
+def shown_pose(sample: Sample, attitude_only: bool) -> dict[str, Piece]:
+    """The function that finds the pose that a sample shows, by its name; none if no sample can.
+
+    `pose` is 1 where the sample fixes it and else 0, then the quaternion and the position.
+    """
+    assert isinstance(sample.vectors, VectorSamples)
+    vectors, landmarks = sample.vectors.each, sample.landmarks
+    if len(vectors) + (len(landmarks) if len(landmarks) > 1 else 0) < 2:
+        return {}
+
+    def numbers(vectors: Any, landmarks: Any) -> Any:
+        fixed, attitude, place = shown(vectors, landmarks)
+        return choose(fixed, jnp.ones_like(attitude[0]), 0.0), *attitude, *place
+
+    places = (None, None, None) if attitude_only else numbered("pose", 8)[5:]
+    results = (*numbered("pose", 5), *places)
+    code = written_in_loops(numbers, (vectors, landmarks), results)
+    return {"show": Piece.of("show", "the pose that a measurement shows, if it fixes one", code)}
 
 
 def rotation_matrix() -> Piece:

@@ -95,7 +95,10 @@ enum {
 enum {
     POSEGSA_OK = 0,
     POSEGSA_INVALID_INPUT = 1, /* NaN, or outside the limits */
-    POSEGSA_NOT_FINITE = 2     /* the estimate would be invalid: NaN, infinite, or |q| not 1 */
+    POSEGSA_NOT_FINITE = 2{{ ",   " if "show" in calls else "    " }} /* the estimate would be invalid: NaN, infinite, or |q| not 1 */
+{% if "show" in calls %}
+    POSEGSA_NO_POSE = 3        /* only of posegsa_init_from: the measurement does not fix a pose */
+{% endif %}
 };
 
 /* The measurements of one sample. In a record of all zeros nothing is measured. */
@@ -143,6 +146,14 @@ typedef struct posegsa_state {
 static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude[4]{{ "" if attitude_only else ",
                                const posegsa_real position[3]" }});
 
+{% if "show" in calls %}
+/* Starts a filter at the {{ "attitude" if attitude_only else "pose" }} that one measurement shows, which posegsa_step may process next. It needs
+ * two directions that are not parallel{{ ", of vectors" if attitude_only else ": of vectors, and of landmarks about their centre" }}{{ "; and a landmark" if landmarks }}.
+ * Returns POSEGSA_OK; or POSEGSA_NO_POSE if they are not measured, or an error code, and does not
+ * change the state. */
+static inline int posegsa_init_from(posegsa_state *state, const posegsa_measurement *measurement);
+
+{% endif %}
 /* Processes one sample and propagates the estimate to the next one, dt [s] later. Returns
  * POSEGSA_OK, or an error code and does not change the state. */
 static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *measurement,
@@ -228,6 +239,30 @@ static inline int posegsa_copy_seen(posegsa_real (*to)[3], posegsa_real *weights
 }
 
 {% endif %}
+/* Copies a measurement, with 0 where something is missing. Returns 0 if a number is refused. */
+static inline int posegsa_take(posegsa_measurement *seen, const posegsa_measurement *measurement)
+{
+    int i;
+    if ({% if not attitude_only %}!posegsa_are_within(measurement->velocity, 3, POSEGSA_C(POSEGSA_MAX_VELOCITY)) ||
+        {% endif %}{% if vectors %}!posegsa_copy_seen(seen->vectors, seen->vector_weights, measurement->vectors,
+                           measurement->vector_weights, POSEGSA_VECTORS,
+                           POSEGSA_C(POSEGSA_MAX_VECTOR), 1) ||
+        {% endif %}{% if landmarks %}!posegsa_copy_seen(seen->landmarks, seen->landmark_weights, measurement->landmarks,
+                           measurement->landmark_weights, POSEGSA_LANDMARKS,
+                           POSEGSA_C(POSEGSA_MAX_LANDMARK), 0) ||
+        {% endif %}!posegsa_are_within(measurement->angular_velocity, 3,
+                            POSEGSA_C(POSEGSA_MAX_ANGULAR_VELOCITY))) {
+        return 0;
+    }
+    for (i = 0; i < 3; ++i) {
+        seen->angular_velocity[i] = measurement->angular_velocity[i];
+{% if not attitude_only %}
+        seen->velocity[i] = measurement->velocity[i];
+{% endif %}
+    }
+    return 1;
+}
+
 /* Whether all n numbers are finite. */
 static inline int posegsa_are_finite(const posegsa_real *x, int n)
 {
@@ -300,6 +335,19 @@ static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude
     return POSEGSA_OK;
 }
 
+{% if "show" in calls %}
+static inline int posegsa_init_from(posegsa_state *state, const posegsa_measurement *measurement)
+{
+    posegsa_measurement taken, *const seen = &taken;
+    posegsa_real pose[8]; /* whether there is one, its quaternion{{ "" if attitude_only else " and position" }} */
+    if (!posegsa_take(seen, measurement)) {
+        return POSEGSA_INVALID_INPUT;
+    }
+    {{ calls.show }}
+    return pose[0] > 0 ? posegsa_init(state, &pose[1]{{ "" if attitude_only else ", &pose[5]" }}) : POSEGSA_NO_POSE;
+}
+
+{% endif %}
 static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *measurement,
                                posegsa_real dt)
 {
@@ -313,28 +361,8 @@ static inline int posegsa_step(posegsa_state *state, const posegsa_measurement *
 {% endblock %}
 
     if (!(dt >= POSEGSA_C(POSEGSA_MIN_TIME_STEP) && dt <= POSEGSA_C(POSEGSA_MAX_TIME_STEP)) ||
-{% if not attitude_only %}
-        !posegsa_are_within(measurement->velocity, 3, POSEGSA_C(POSEGSA_MAX_VELOCITY)) ||
-{% endif %}
-{% if vectors %}
-        !posegsa_copy_seen(seen->vectors, seen->vector_weights, measurement->vectors,
-                           measurement->vector_weights, POSEGSA_VECTORS,
-                           POSEGSA_C(POSEGSA_MAX_VECTOR), 1) ||
-{% endif %}
-{% if landmarks %}
-        !posegsa_copy_seen(seen->landmarks, seen->landmark_weights, measurement->landmarks,
-                           measurement->landmark_weights, POSEGSA_LANDMARKS,
-                           POSEGSA_C(POSEGSA_MAX_LANDMARK), 0) ||
-{% endif %}
-        !posegsa_are_within(measurement->angular_velocity, 3,
-                           POSEGSA_C(POSEGSA_MAX_ANGULAR_VELOCITY))) {
+        !posegsa_take(seen, measurement)) {
         return POSEGSA_INVALID_INPUT;
-    }
-    for (i = 0; i < 3; ++i) {
-        seen->angular_velocity[i] = measurement->angular_velocity[i];
-{% if not attitude_only %}
-        seen->velocity[i] = measurement->velocity[i];
-{% endif %}
     }
 {% block advance %}
 {% endblock %}

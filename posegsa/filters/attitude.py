@@ -101,7 +101,7 @@ from posegsa.model.se3 import (
     subtract,
     unrotate,
 )
-from posegsa.model.vectors import VectorSample, VectorSamples, VectorSettings
+from posegsa.model.vectors import AS_MEASURED, VectorSample, VectorSamples
 
 Interval = Literal["before", "after"]
 """Which interval an angular velocity is the mean of: before its time stamp, or after it."""
@@ -147,11 +147,6 @@ SMALL_ANGLE = 0.5
 """Angle between two samples [rad] up to which a short series gives the rotation."""
 ALL_TURNING = 0.5
 """Angular velocity from which on c, the field of the body, is followed at its full rate [rad/s]."""
-AS_MEASURED = VectorSettings(
-    weights=None, cross_weight=0.0, normalise=False, cross=False, each_agent=True
-)
-"""Settings that leave the vectors as measured."""
-
 
 Started = tuple[Quaternion, tuple[Array, Array], Covariance]
 """What the first acceleration and the first field change: attitude, velocity, covariance."""

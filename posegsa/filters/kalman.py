@@ -129,7 +129,7 @@ from posegsa.model.se3 import (
     subtract,
     unrotate,
 )
-from posegsa.model.vectors import VectorSample, VectorSettings
+from posegsa.model.vectors import AS_MEASURED, VectorSample
 
 
 class KalmanNoise(NamedTuple):
@@ -398,12 +398,6 @@ def _scaled(sample: Sample, vectors: Sequence[float], landmarks: Sequence[float]
 
     seen = weights(sample.vectors.each, vectors), weights(sample.landmarks, landmarks)
     return weighted(sample, *seen)
-
-
-AS_MEASURED = VectorSettings(
-    weights=None, cross_weight=0.0, normalise=False, cross=False, each_agent=True
-)
-"""Settings that leave the vectors as measured."""
 
 
 def update(

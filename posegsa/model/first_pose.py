@@ -1,18 +1,159 @@
 """The start from sensors: the pose that fits the first sample whose measurements fix one."""
 
-from typing import NamedTuple
+import operator
+from collections.abc import Sequence
+from functools import reduce
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
+from posegsa.model.elementwise import choose, maximum
 from posegsa.model.measurements import Measurements
+from posegsa.model.sample import LandmarkSample, prepare
+from posegsa.model.se3 import (
+    Matrix3,
+    Quaternion,
+    Vec3,
+    add,
+    dot,
+    rotate,
+    rotation_matrix,
+    rows,
+    scale,
+    stack,
+    subtract,
+    unit,
+)
+from posegsa.model.vectors import AS_MEASURED, VectorSample
 
 INDEPENDENT = 1e-3
 """Directions fix an attitude if the sum of squared sines between them is at least this."""
+SQUARINGS = 24
+"""Squarings of Davenport's matrix. At the least INDEPENDENT its largest eigenvalues are as near as
+1 to 1 - 2.5e-4, which 18 would part to 1e-28."""
 WAITING = 1e-6
 """Factor on the time steps before the start: nothing moves, and nothing is divided by 0."""
 REST = 1.0
 """Time after the start over which the velocities are averaged, if the body is at rest [s]."""
+
+
+class Shown(NamedTuple):
+    """The pose that one sample shows, by components of any common batch shape."""
+
+    fixed: Array
+    """Whether the sample fixes a pose; if not, the rest means nothing."""
+    attitude: Quaternion
+    """R_est, body to inertial."""
+    place: Vec3
+    """P_est [m], inertial frame; 0 if there are no landmarks."""
+
+
+def shown(vectors: Sequence[VectorSample], landmarks: Sequence[LandmarkSample]) -> Shown:
+    """The pose that fits the vectors and landmarks of one sample (pure, by components).
+
+    A sample fixes a pose if it has a landmark, unless there are none at all, and two directions
+    that are not collinear: of vectors, and from the landmarks' centre to each of them. The attitude
+    solves Wahba's problem for these, all of length 1 and of weight 1, by Davenport's q method (F.
+    L. Markley, J. L. Crassidis, "Fundamentals of Spacecraft Attitude Determination and Control",
+    2014, section 5.3); the position follows from the centre.
+
+    Args:
+        vectors: a factor of 0 marks a missing one, whose numbers must be finite.
+        landmarks: likewise.
+    """
+    there = [_is_there(one.factor) for one in landmarks]
+    zero = jnp.zeros_like([*vectors, *landmarks][0].factor)
+    centre = known_centre = zero, zero, zero
+    if landmarks:
+        centre = _mean([one.body for one in landmarks], there)
+        known_centre = _mean([one.inertial for one in landmarks], there)
+    pairs = [(one.measured, one.known, _is_there(one.factor)) for one in vectors]
+    pairs += [
+        (subtract(one.body, centre), subtract(one.inertial, known_centre), weight)
+        for one, weight in zip(landmarks, there, strict=True)
+    ]
+    seen = [unit(one) for one, _, _ in pairs]
+    known = [unit(one) for _, one, _ in pairs]
+    weighted = [scale(weight, one) for one, (_, _, weight) in zip(known, pairs, strict=True)]
+    spread = _sum_of_products(weighted, known)
+    total = spread[0][0] + spread[1][1] + spread[2][2]
+    # Sum over pairs of directions of the squared sine between them.
+    apart = 0.5 * (
+        total * total
+        - (dot(spread[0], spread[0]) + dot(spread[1], spread[1]) + dot(spread[2], spread[2]))
+    )
+    fixed = apart >= INDEPENDENT
+    if landmarks:
+        fixed = fixed & (reduce(operator.add, there) > 0)
+    q = _best_rotation(_sum_of_products(weighted, seen), total)
+    return Shown(fixed, q, subtract(known_centre, rotate(rows(q), centre)))
+
+
+def _best_rotation(profile: Matrix3, total: Array) -> Quaternion:
+    """The rotation R with the largest tr(R^T B), B the attitude profile matrix (Wahba's problem).
+
+    It is the eigenvector of the largest eigenvalue of Davenport's matrix. That matrix plus `total`
+    times the identity has no negative eigenvalue; divided by its trace and squared again and again
+    it becomes the projection onto the eigenvector.
+
+    Args:
+        profile: B = sum of known times measured, transposed, by rows.
+        total: the number of directions, of length 1.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = profile
+    share = 0.25 / maximum(total, 1.0)
+    K = (
+        ((xx + yy + zz), zy - yz, xz - zx, yx - xy),
+        (xx - yy - zz, xy + yx, xz + zx),
+        (yy - xx - zz, yz + zy),
+        (zz - xx - yy,),
+    )
+    start = tuple(
+        tuple(share * entry + (0.25 if j == 0 else 0.0) for j, entry in enumerate(row)) for row in K
+    )
+
+    def squared(upper: Any, _: None) -> tuple[Any, None]:
+        full = [[upper[min(i, j)][abs(i - j)] for j in range(4)] for i in range(4)]
+        square = [[_dot(full[i], full[j]) for j in range(i, 4)] for i in range(4)]
+        per_trace = 1 / reduce(operator.add, (row[0] for row in square))
+        return tuple(tuple(per_trace * entry for entry in row) for row in square), None
+
+    upper, _ = lax.scan(squared, start, None, SQUARINGS)
+    # Each column is the eigenvector; the one with the largest diagonal entry is the longest.
+    best, q = upper[0][0], upper[0]
+    for i in range(1, 4):
+        column = [upper[min(i, j)][abs(i - j)] for j in range(4)]
+        longer = upper[i][0] > best
+        best = choose(longer, upper[i][0], best)
+        q = tuple(choose(longer, new, old) for new, old in zip(column, q, strict=True))
+    per_length = 1 / jnp.sqrt(_dot(q, q))
+    w, x, y, z = (per_length * entry for entry in q)
+    return w, x, y, z
+
+
+def _dot(a: Sequence[Array], b: Sequence[Array]) -> Array:
+    return reduce(operator.add, (x * y for x, y in zip(a, b, strict=True)))
+
+
+def _sum_of_products(left: Sequence[Vec3], right: Sequence[Vec3]) -> Matrix3:
+    """Sum of the matrices left_i right_i^T, by rows."""
+    x, y, z = (
+        reduce(add, (scale(a[row], b) for a, b in zip(left, right, strict=True)))
+        for row in range(3)
+    )
+    return x, y, z
+
+
+def _is_there(factor: Array) -> Array:
+    return choose(factor > 0, jnp.ones_like(factor), 0.0)
+
+
+def _mean(points: Sequence[Vec3], weights: Sequence[Array]) -> Vec3:
+    """The mean of points with weights of 0 and 1."""
+    per_count = 1 / maximum(reduce(operator.add, weights), 1.0)
+    return scale(per_count, reduce(add, map(scale, weights, points)))
 
 
 class FirstPose(NamedTuple):
@@ -27,41 +168,18 @@ class FirstPose(NamedTuple):
 
 
 def first_pose(measurements: Measurements) -> FirstPose:
-    """The pose that fits the first sample whose measurements fix one (pure, jittable).
-
-    A sample fixes a pose if it has a landmark, and two directions that are not collinear: of
-    vectors, and from the landmarks' centre to each of them. The attitude solves Wahba's problem for
-    these, all normalised (F. L. Markley, "Attitude determination using vector observations and the
-    singular value decomposition", 1988); the position follows from the landmarks.
+    """The pose that the first sample shows which fixes one (pure, jittable).
 
     Args:
         measurements: N samples.
     """
-    m = measurements
-    of_vectors, of_landmarks = (
-        (a > 0).astype(m.time_step.dtype) for a in (m.vector_weights, m.landmark_weights)
-    )
-    known = jnp.concatenate(
-        [_unit(m.vector_references), _unit(_centred(m.landmark_references, of_landmarks))], axis=1
-    )
-    seen = jnp.concatenate([_unit(m.vectors), _unit(_centred(m.landmarks, of_landmarks))], axis=1)
-    weights = jnp.concatenate([of_vectors, of_landmarks], axis=1)
-    spread = jnp.einsum("nk,nki,nkj->nij", weights, known, known, precision="highest")
-    total = jnp.trace(spread, axis1=1, axis2=2)
-    # Sum over pairs of directions of the squared sine between them.
-    apart = 0.5 * (total**2 - jnp.sum(spread**2, axis=(1, 2)))
-    fixed = (apart >= INDEPENDENT) & jnp.any(of_landmarks > 0, axis=1)
-    sample = jnp.where(jnp.any(fixed), jnp.argmax(fixed), fixed.shape[0])
-    k = jnp.minimum(sample, fixed.shape[0] - 1)
-    B = jnp.einsum("k,ki,kj->ij", weights[k], known[k], seen[k], precision="highest")
-    left, _, right = jnp.linalg.svd(B)
-    turn = jnp.ones(3, B.dtype).at[2].set(jnp.linalg.det(left) * jnp.linalg.det(right))
-    R = jnp.matmul(left * turn[None], right, precision="highest")
-    share = of_landmarks[k] / jnp.maximum(jnp.sum(of_landmarks[k]), 1)
-    # y_i = R^T (p_i - P), so that P is the mean of p_i - R y_i.
-    rotated = jnp.matmul(m.landmarks[k], R.T, precision="highest")
-    P = jnp.sum(share[:, None] * (m.landmark_references[k] - rotated), axis=0)
-    return FirstPose(sample, R, P)
+    sample = prepare(measurements, AS_MEASURED)
+    fixed = shown(sample.vectors.each, sample.landmarks).fixed
+    first = jnp.where(jnp.any(fixed), jnp.argmax(fixed), fixed.shape[0])
+    k = jnp.minimum(first, fixed.shape[0] - 1)
+    at = jax.tree.map(lambda a: a[k], sample)
+    _, q, place = shown(at.vectors.each, at.landmarks)
+    return FirstPose(first, rotation_matrix(stack(q)), stack(place))
 
 
 def waiting_until(measurements: Measurements, sample: Array) -> Measurements:
@@ -84,16 +202,3 @@ def bias_at_rest(measurements: Measurements, sample: Array) -> Array:
     inside = ((index >= sample) & (time < begin + REST)).astype(time.dtype)
     both = jnp.concatenate([measurements.angular_velocity, measurements.velocity], axis=1)
     return inside @ both / jnp.maximum(jnp.sum(inside), 1)
-
-
-def _centred(points: Array, weights: Array) -> Array:
-    """Points (N, m, 3) minus the mean of the visible ones, with weights (N, m) of 0 and 1."""
-    count = jnp.maximum(jnp.sum(weights, axis=1), 1)[:, None, None]
-    return points - jnp.sum(weights[..., None] * points, axis=1, keepdims=True) / count
-
-
-def _unit(vectors: Array) -> Array:
-    """Vectors scaled to length 1; those of length 0 stay 0."""
-    squared = jnp.sum(vectors**2, axis=-1, keepdims=True)
-    there = squared > 0
-    return jnp.where(there, vectors / jnp.sqrt(jnp.where(there, squared, 1.0)), 0.0)

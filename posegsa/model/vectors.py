@@ -55,6 +55,12 @@ class VectorSettings:
     """Whether B depends on the agent, and so is computed in the loop."""
 
 
+AS_MEASURED = VectorSettings(
+    weights=None, cross_weight=0.0, normalise=False, cross=False, each_agent=True
+)
+"""Settings that leave the vectors as measured."""
+
+
 class Wahba(NamedTuple):
     """All that the filter and its error signal need from the vectors of a sample."""
 

@@ -15,6 +15,7 @@ from helpers.schedules import K, tuned
 
 import posegsa
 from posegsa.errors import ArgumentError, MeasurementError, PosegsaWarning
+from posegsa.model.first_pose import first_pose
 from posegsa.model.schedules import SwitchGain
 from posegsa.streaming import FIRST
 
@@ -300,6 +301,68 @@ def test_a_sensor_without_weight_fixes_nothing(result):
     assert pose_filter.observable
 
 
+# A start from the sensors -------------------------------------------------------------------------
+
+
+def unseen_before(samples: dict, sample: int) -> dict:
+    """The same samples, but for the landmarks before one and an exact pose at it."""
+    landmarks = np.where(np.arange(N)[:, None, None] < sample, np.nan, samples["landmarks"])
+    return samples | {"landmarks": landmarks}
+
+
+def test_without_a_pose_it_starts_at_the_first_sample_that_shows_one(result):
+    """As `first_pose` finds it, and from there on as a filter that is given this pose."""
+    steps, samples, references = stream(result)
+    samples = unseen_before(samples, 4)
+    with jax.enable_x64(True):
+        found = first_pose(at_once(steps, samples, references, "float64"))
+    begin = int(found.sample)
+    assert begin >= 4
+    one = posegsa.PoseFilter(result)
+    for pose in fed(one, steps, samples, slice(begin)):
+        assert np.isnan(pose.rotation).all()
+        assert np.isnan(pose.position).all()
+    assert one.waiting
+    assert one.time == pytest.approx(steps[:begin].sum())
+    other = posegsa.PoseFilter(result, rotation=found.rotation, position=found.position)
+    rest = slice(begin, N)
+    expected = fed(other, steps, samples, rest)
+    for got, want in zip(fed(one, steps, samples, rest), expected, strict=True):
+        np.testing.assert_allclose(got.rotation, want.rotation, atol=1e-12)
+        np.testing.assert_allclose(got.position, want.position, atol=1e-12)
+    assert not one.waiting
+    one.reset()
+    assert one.waiting
+
+
+def test_a_waiting_filter_is_kept_and_resumed(result):
+    steps, samples, _ = stream(result)
+    samples = unseen_before(samples, 12)
+    one, other = posegsa.PoseFilter(result), posegsa.PoseFilter(result)
+    fed(one, steps, samples, slice(6))
+    assert one.waiting
+    other.restore(one.checkpoint())
+    assert other.waiting
+    for each in (one, other):
+        fed(each, steps, samples, slice(6, N))
+        assert not each.waiting
+    np.testing.assert_array_equal(one.pose.position, other.pose.position)
+    one.reset()
+    fed(one, steps, samples, slice(6))
+    with pytest.raises(ArgumentError, match="record holds NaN"):  # it does not wait
+        posegsa.PoseFilter(result, **START).restore(one.checkpoint())
+
+
+def test_sensors_that_never_show_a_pose_are_refused(result):
+    """One vector and one landmark in a sample: the heading about the vector stays open."""
+    with pytest.raises(ArgumentError, match="1 vector and 1 landmark never show a pose"):
+        posegsa.PoseFilter(
+            posegsa.KalmanFilter(posegsa.KalmanNoise(*jnp.full(12, 0.1))),
+            vector_references=[[0, 0, 1]],
+            landmark_references=[[1, 2, 3]],
+        )
+
+
 # Checkpoints --------------------------------------------------------------------------------------
 
 
@@ -434,8 +497,11 @@ def test_bad_sources_are_refused(result):
             posegsa.PoseFilter(source, **START)
     with pytest.raises(posegsa.PosegsaError, match=r"run: no file, and no configuration.* imu"):
         posegsa.PoseFilter("run", **START)
-    with pytest.raises(ArgumentError, match="rotation, position: not both given; allowed: both"):
+    with pytest.raises(ArgumentError, match="not given, and 0 vectors and 0 landmarks never show"):
         posegsa.PoseFilter(posegsa.Observer(constant))
+    for pose in ({"rotation": np.eye(3)}, {"position": np.zeros(3)}):
+        with pytest.raises(ArgumentError, match="rotation, position: one without the other"):
+            posegsa.PoseFilter(posegsa.Observer(constant), **pose)
 
 
 @pytest.mark.parametrize(
