@@ -54,7 +54,7 @@ JOBS = (
     ),
     Job(
         "slow sensors, one landmark in sight at a time, a body that is moved",
-        *("sparse", "sparse", "given", "`sparse`, 2 vectors, 3 landmarks"),
+        *("sparse", "sparse", "sensors", "`sparse`, 2 vectors, 3 landmarks"),
     ),
 )
 
