@@ -147,10 +147,15 @@ static inline int posegsa_init(posegsa_state *state, const posegsa_real attitude
                                const posegsa_real position[3]" }});
 
 {% if "show" in calls %}
-/* Starts a filter at the {{ "attitude" if attitude_only else "pose" }} that one measurement shows, which posegsa_step may process next. It needs
- * two directions that are not parallel{{ ", of vectors" if attitude_only else ": of vectors, and of landmarks about their centre" }}{{ "; and a landmark" if landmarks }}.
- * Returns POSEGSA_OK; or POSEGSA_NO_POSE if they are not measured, or an error code, and does not
- * change the state. */
+/* Starts a filter at the {{ "attitude" if attitude_only else "pose" }} that one measurement shows; give the same one to posegsa_step next.
+{% if landmarks %}
+ * It needs a landmark and two directions that are not parallel: of vectors, and of the landmarks
+ * about their centre.
+{% else %}
+ * It needs two vectors that are not parallel{{ "" if attitude_only else "; the position starts at 0" }}.
+{% endif %}
+ * Returns POSEGSA_OK; POSEGSA_NO_POSE if these are not measured; or an error code. In both other
+ * cases it does not change the state. */
 static inline int posegsa_init_from(posegsa_state *state, const posegsa_measurement *measurement);
 
 {% endif %}
