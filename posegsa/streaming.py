@@ -29,7 +29,7 @@ from posegsa.recordings.imu import references as imu_references
 from posegsa.recordings.start import with_numpy_arrays
 from posegsa.words import counted
 
-FORMAT = 4
+FORMAT = 5
 """Version of the checkpoint's layout."""
 
 FIRST = 50
@@ -159,7 +159,7 @@ class PoseFilter:
         if self._inertial and len(vectors) == 2 and are_collinear(*vectors):
             refuse("vector_references: are parallel", "up and north, which are not")
         limits.POSITION.checked("landmark_references", landmarks)
-        self._bias = bias
+        self._bias = np.zeros(6) if bias is None else finite_array("bias", bias, (6,)).copy()
         given = None if rotation is None or position is None else (rotation, position)
         start = self._state(*(given or _ORIGIN), bias)
         parameters = OnlineParameters(filter, vectors, landmarks)
@@ -169,19 +169,18 @@ class PoseFilter:
         self._rotation_at, estimate = where.rotation, where.estimate
         self._quaternion_at, self._position_at = map(np.array, (estimate.attitude, estimate.place))
         self._estimate_at = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(estimate)])
-        if given is not None:
-            self._start = self._loop.start(start)
-        else:
-            if (
-                self._shown(vectors, np.ones(len(vectors)), landmarks, np.ones(len(landmarks)))
-                is None
-            ):
+        self._origin = self._loop.start(start)
+        """The record before the first sample, at a given pose or at the origin."""
+        self._start = self._origin
+        if given is None:
+            self._start = np.full_like(self._origin, np.nan)
+            exact = vectors, self._vectors.factors, landmarks, self._landmarks.factors
+            if self._shown(*exact) is None:
                 refuse(
                     f"rotation, position: not given, and {counted(len(vectors), 'vector')} and "
                     f"{counted(len(landmarks), 'landmark')} never show a pose in one sample",
                     "both; or two directions that are not parallel, and a landmark",
                 )
-            self._start = np.full(self._loop.record.size, np.nan, self._dtype)
         gravity = float(np.linalg.norm(vectors[0])) if self._inertial and len(vectors) else None
         self._first = _FirstSamples(gravity)
         self._begin(self._start)
@@ -259,7 +258,8 @@ class PoseFilter:
         return self.pose
 
     def __repr__(self) -> str:
-        return f"<PoseFilter of {self._kind} at {self._time:.6g} s>"
+        waiting = ", waiting" if self.waiting else ""
+        return f"<PoseFilter of {self._kind} at {self._time:.6g} s{waiting}>"
 
     @property
     def pose(self) -> Pose:
@@ -333,7 +333,8 @@ class PoseFilter:
         """Whether the sightings within `observable_window` determine the pose.
 
         For a result on recordings without position: whether they determine the attitude.
-        Sightings at different times count together, because the velocities connect them.
+        Sightings at different times count together, because the velocities connect them; not while
+        the filter is `waiting` for one sample that shows a pose.
         If False, the pose drifts, or a wrong pose would go unnoticed; `why_unobservable` says what
         is missing.
         """
@@ -342,6 +343,11 @@ class PoseFilter:
     @property
     def why_unobservable(self) -> str:
         """If the pose is not observable, what was seen lately and what is needed; else ""."""
+        if self.waiting:
+            return (
+                "waiting: no sample has shown a pose by itself; needed in one sample are two "
+                "directions that are not parallel, and a landmark if there are any"
+            )
         recent = self._ages[2:] <= self._window * (1 + 1e-9)
         vectors, landmarks = self._vectors, self._landmarks
         n = len(vectors.references)
@@ -389,6 +395,7 @@ class PoseFilter:
             "record": self._record.copy(),
             "ages": self._ages.copy(),
             "velocities": np.array(self._velocities),
+            "bias": self._bias.copy(),
             "clock": np.array([self._time, self._time_step]),
         }
 
@@ -412,10 +419,13 @@ class PoseFilter:
                 refuse(f"checkpoint: of a filter with other {what}", "one of this filter's own")
         if (given["clock"] < 0).any():
             refuse("checkpoint: clock holds a negative time", "times from 0 on")
-        known = {name: np.isfinite(given[name]) for name in ("record", "velocities", "clock")}
-        waiting = np.isnan(self._start).all() and np.isnan(given["record"]).all()
-        if waiting or given["clock"][0] == 0:  # a new filter has some NaN, such as the last error
-            known["record"] |= ~np.isfinite(self._start)
+        known = {
+            name: np.isfinite(given[name]) for name in ("record", "velocities", "bias", "clock")
+        }
+        if np.isnan(self._start).all() and np.isnan(given["record"]).all():  # it is waiting
+            known["record"] = np.ones(len(given["record"]), bool)
+        elif given["clock"][0] == 0:  # a new filter has some NaN, such as the last error
+            known["record"] |= ~np.isfinite(self._origin)
         else:  # the state may hold infinity, the estimate not (`_check_estimate`)
             hidden = np.ones(len(known["record"]), bool)
             hidden[self._estimate_at] = False
@@ -425,7 +435,7 @@ class PoseFilter:
                 refuse(f"checkpoint: {name} holds NaN or infinity", "finite numbers")
         if not (given["ages"] >= 0).all():
             refuse("checkpoint: ages holds NaN or a negative number", "numbers from 0 on")
-        self._record, self._ages = given["record"], given["ages"]
+        self._record, self._ages, self._bias = given["record"], given["ages"], given["bias"]
         self._velocities = tuple(given["velocities"])
         self._time, self._time_step = given["clock"].tolist()
 
@@ -444,6 +454,11 @@ class PoseFilter:
 
         Weights are (n,) and (m,), 0 for a missing one.
         """
+        # A sensor that the filter gives no weight is not asked.
+        of_vectors, of_landmarks = (
+            factors * (sensors.weights > 0)
+            for factors, sensors in ((of_vectors, self._vectors), (of_landmarks, self._landmarks))
+        )
         if np.count_nonzero(of_vectors) + np.count_nonzero(of_landmarks) < 2:
             return None  # too few; and nothing is compiled for a filter without sensors
         still = np.zeros((1, 3))
@@ -573,7 +588,7 @@ class _Sensors:
                 f"settings.{setting}: {len(weights)} of them",
                 f"{count}, one for each of {name}_references, or None",
             )
-        self._factors = self._checked_factors(factors)
+        self.factors = self._checked_factors(factors)
         self.weights = np.ones(count) if weights is None else np.asarray(weights, np.float64)
         """(n,) the filter's weights, without the factors; a sensor of weight 0 has no effect."""
         if name == "vector" and not references.any(axis=1).all():
@@ -581,7 +596,7 @@ class _Sensors:
 
     def seen(self, values: Any, factors: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
         """The measurements (n, 3) and their factors (n,), both 0 for a missing one."""
-        factors = self._factors if factors is None else self._checked_factors(factors)
+        factors = self.factors if factors is None else self._checked_factors(factors)
         count = len(self.references)
         if values is None:
             return np.zeros((count, 3)), np.zeros(count)

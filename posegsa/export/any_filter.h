@@ -29,8 +29,8 @@ static inline int posegsa_are_numbers(const posegsa_real *x, int n)
 {% if start %}
 /* Starts a filter. attitude: quaternion of any length but 0; position [m], inertial frame. The
  * covariance begins with standard deviations of {{ start.degrees }} deg about and {{ start.metres }} m along each axis: give a
- * pose whose error is at most a few of these{{ ", such as that of posegsa_init_from" if "show" in calls }}. Returns POSEGSA_OK,
- * or an error code and does not change the state. */
+ * pose whose error is at most a few of these{{ ", as posegsa_init_from does with good sensors" if "show" in calls }}. Returns
+ * POSEGSA_OK, or an error code and does not change the state. */
 {% else %}
 {{ super() -}}
 {% endif %}

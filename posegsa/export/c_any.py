@@ -134,6 +134,8 @@ class _Step:
     def __init__(self, filter: Filter, known: References, crossed: bool) -> None:
         self._vectors = len(known.vectors)
         self._sensors = Sensors(len(known.vectors), len(known.landmarks))
+        self._known = known
+        self._settings = filter.settings if isinstance(filter, Observer) else None
         self._known_fields = _KNOWN_FIELDS.get(type(filter), {})
         self.alone = isinstance(filter, AttitudeFilter)
         """Whether there is no position: its fields are left out."""
@@ -256,7 +258,9 @@ class _Step:
             Piece.of("advance", "the state at the next sample", after),
             rotation_matrix(),
         ]
-        first = {} if self.alone else shown_pose(sample, attitude_only=False)
+        if self.alone:
+            return {piece.name: piece for piece in pieces}
+        first = shown_pose(sample, self._known, self._settings, attitude_only=False)
         return {piece.name: piece for piece in pieces} | first
 
 

@@ -44,7 +44,7 @@ from posegsa.model.signal import (
     scheduled_gain,
     still_unknown,
 )
-from posegsa.model.vectors import VectorSample, VectorSamples, Wahba
+from posegsa.model.vectors import AS_MEASURED, VectorSample, VectorSamples, Wahba
 
 _NOTHING: Any = (0.0, 0.0, 0.0)
 """A vector that a filter does not have. (Typed `Any`: the model's records hold arrays, but here
@@ -215,6 +215,7 @@ class Step:
             settings = replace(settings, vector_bias=None)
         self.waits, self.unknown = settings.per_bias_wait is not None, signal.unknown is not None
         settings = replace(settings, vectors=replace(settings.vectors, each_agent=True))
+        self._known, self._plain = known, settings
         self._settings = self._named(settings)
         self._signal = self._named(signal)
         self._write(schedule)
@@ -294,7 +295,7 @@ class Step:
                 ("next->unknown",),
             )
         self.pieces["rows"] = rotation_matrix()
-        self.pieces |= shown_pose(sample, self.attitude_only)
+        self.pieces |= shown_pose(sample, self._known, self._plain, self.attitude_only)
 
     def _piece(
         self, name: str, about: str, function: Callable[..., Any], arguments: Any, results: Any
@@ -409,15 +410,27 @@ def sample_of(
     )
 
 
-def shown_pose(sample: Sample, attitude_only: bool) -> dict[str, Piece]:
+def shown_pose(
+    sample: Sample, known: References, settings: FilterSettings | None, attitude_only: bool
+) -> dict[str, Piece]:
     """The function that finds the pose that a sample shows, by its name; none if no sample can.
 
     `pose` is 1 where the sample fixes it and else 0, then the quaternion and the position.
+
+    Args:
+        sample: Of `sample_of`.
+        known: The references of its sensors.
+        settings: An observer's; sensors without weight are not asked.
+        attitude_only: Whether there is no position.
     """
-    assert isinstance(sample.vectors, VectorSamples)
-    vectors, landmarks = sample.vectors.each, sample.landmarks
-    if len(vectors) + (len(landmarks) if len(landmarks) > 1 else 0) < 2:
-        return {}
+    own = (
+        (None, None) if settings is None else (settings.vectors.weights, settings.landmark_weights)
+    )
+    with jax.enable_x64(True):
+        exact = prepare(one_measurement(known.vectors, known.landmarks), AS_MEASURED)
+        vectors, landmarks = _asked(sample, *own)
+        if len(vectors) + len(landmarks) < 2 or not shown(*_asked(exact, *own)).fixed:
+            return {}
 
     def numbers(vectors: Any, landmarks: Any) -> Any:
         fixed, attitude, place = shown(vectors, landmarks)
@@ -427,6 +440,23 @@ def shown_pose(sample: Sample, attitude_only: bool) -> dict[str, Piece]:
     results = (*numbered("pose", 5), *places)
     code = written_in_loops(numbers, (vectors, landmarks), results)
     return {"show": Piece.of("show", "the pose that a measurement shows, if it fixes one", code)}
+
+
+def _asked(sample: Sample, of_vectors: Any, of_landmarks: Any) -> tuple[Any, Any]:
+    """The vectors and landmarks of a sample whose weights in the filter are not 0."""
+    assert isinstance(sample.vectors, VectorSamples)
+    vectors, landmarks = (
+        tuple(
+            one
+            for i, one in enumerate(sensors)
+            if weights is None or float(np.asarray(weights[i])) > 0
+        )
+        for sensors, weights in (
+            (sample.vectors.each, of_vectors),
+            (sample.landmarks, of_landmarks),
+        )
+    )
+    return vectors, landmarks
 
 
 def rotation_matrix() -> Piece:

@@ -40,7 +40,7 @@
  * limits below, is refused with POSEGSA_INVALID_INPUT: no sensor gives it. An estimate that would
  * not be finite, or whose quaternion would not have length 1, is refused with POSEGSA_NOT_FINITE. A
  * refused sample leaves the state as it was: let the next dt cover its time too. If good samples
- * are refused again and again, start anew with posegsa_init. Pointers must be valid.
+ * are refused again and again, start anew. Pointers must be valid.
 {% endblock %}
  *
  * PRECISION, MEMORY, THREADS
@@ -91,7 +91,7 @@ enum {
 {% endblock %}
 };
 
-/* What posegsa_init and posegsa_step return. */
+/* What the functions that start and step a filter return. */
 enum {
     POSEGSA_OK = 0,
     POSEGSA_INVALID_INPUT = 1, /* NaN, or outside the limits */
@@ -117,7 +117,7 @@ typedef struct posegsa_measurement {
 {% endif %}
 } posegsa_measurement;
 
-/* The state of a filter, set by posegsa_init. The estimates may be read at any time{{ may_be_set }}. */
+/* The state of a filter, set when it starts. The estimates may be read at any time{{ may_be_set }}. */
 typedef struct posegsa_state {
     posegsa_real attitude[4];     /* quaternion w, x, y, z, body to inertial */
 {% if not attitude_only %}

@@ -29,7 +29,13 @@ from posegsa.model.se3 import (
 from posegsa.model.vectors import AS_MEASURED, VectorSample
 
 INDEPENDENT = 1e-3
-"""Directions fix an attitude if the sum of squared sines between them is at least this."""
+"""Directions fix an attitude if the sum over pairs of their cross products squared is at least
+this: two vectors that are 1.8 degrees apart."""
+ROUNDING = 128
+"""Rounding errors of that sum, in machine epsilons of the square of all lengths squared."""
+LIKE_A_DIRECTION = 2.0
+"""The error of a landmark [m] that counts as one of 1 rad in a vector's direction: usual sensors
+have some 0.1 m and 0.05 rad."""
 SQUARINGS = 24
 """Squarings of Davenport's matrix. At the least INDEPENDENT its largest eigenvalues are as near as
 1 to 1 - 2.5e-4, which 18 would part to 1e-28."""
@@ -54,13 +60,15 @@ def shown(vectors: Sequence[VectorSample], landmarks: Sequence[LandmarkSample]) 
     """The pose that fits the vectors and landmarks of one sample (pure, by components).
 
     A sample fixes a pose if it has a landmark, unless there are none at all, and two directions
-    that are not collinear: of vectors, and from the landmarks' centre to each of them. The attitude
-    solves Wahba's problem for these, all of length 1 and of weight 1, by Davenport's q method (F.
-    L. Markley, J. L. Crassidis, "Fundamentals of Spacecraft Attitude Determination and Control",
-    2014, section 5.3); the position follows from the centre.
+    that are not collinear, as known and as measured: of vectors, and from the landmarks' centre to
+    each of them. The attitude solves Wahba's problem for these, vectors of length 1 and landmarks
+    in units of LIKE_A_DIRECTION, by Davenport's q method (F. L. Markley, J. L. Crassidis,
+    "Fundamentals of Spacecraft Attitude Determination and Control", 2014, section 5.3). So a
+    landmark near the centre counts little. The position follows from the centre.
 
     Args:
-        vectors: a factor of 0 marks a missing one, whose numbers must be finite.
+        vectors: a factor of 0 marks a missing one, whose numbers must be finite; all others count
+            the same.
         landmarks: likewise.
     """
     there = [_is_there(one.factor) for one in landmarks]
@@ -69,41 +77,43 @@ def shown(vectors: Sequence[VectorSample], landmarks: Sequence[LandmarkSample]) 
     if landmarks:
         centre = _mean([one.body for one in landmarks], there)
         known_centre = _mean([one.inertial for one in landmarks], there)
-    pairs = [(one.measured, one.known, _is_there(one.factor)) for one in vectors]
-    pairs += [
-        (subtract(one.body, centre), subtract(one.inertial, known_centre), weight)
-        for one, weight in zip(landmarks, there, strict=True)
-    ]
-    seen = [unit(one) for one, _, _ in pairs]
-    known = [unit(one) for _, one, _ in pairs]
-    weighted = [scale(weight, one) for one, (_, _, weight) in zip(known, pairs, strict=True)]
-    spread = _sum_of_products(weighted, known)
-    total = spread[0][0] + spread[1][1] + spread[2][2]
-    # Sum over pairs of directions of the squared sine between them.
-    apart = 0.5 * (
-        total * total
-        - (dot(spread[0], spread[0]) + dot(spread[1], spread[1]) + dot(spread[2], spread[2]))
-    )
-    fixed = apart >= INDEPENDENT
+    per_unit = 1 / LIKE_A_DIRECTION
+    seen = [scale(_is_there(one.factor), unit(one.measured)) for one in vectors]
+    known = [scale(_is_there(one.factor), unit(one.known)) for one in vectors]
+    for one, weight in zip(landmarks, there, strict=True):
+        seen.append(scale(weight * per_unit, subtract(one.body, centre)))
+        known.append(scale(weight * per_unit, subtract(one.inertial, known_centre)))
+    (size, apart), (seen_size, seen_apart) = _spread(known), _spread(seen)
+    fixed = apart & seen_apart
     if landmarks:
         fixed = fixed & (reduce(operator.add, there) > 0)
-    q = _best_rotation(_sum_of_products(weighted, seen), total)
+    q = _best_rotation(_sum_of_products(known, seen), 0.5 * (size + seen_size))
     return Shown(fixed, q, subtract(known_centre, rotate(rows(q), centre)))
 
 
-def _best_rotation(profile: Matrix3, total: Array) -> Quaternion:
+def _spread(directions: Sequence[Vec3]) -> tuple[Array, Array]:
+    """The sum of the squares of directions, and whether these fix an attitude."""
+    products = _sum_of_products(directions, directions)
+    size = products[0][0] + products[1][1] + products[2][2]
+    square = size * size
+    apart = 0.5 * (square - reduce(operator.add, (dot(row, row) for row in products)))
+    rounding = ROUNDING * float(jnp.finfo(size.dtype).eps)
+    return size, apart >= maximum(rounding * square, INDEPENDENT)
+
+
+def _best_rotation(profile: Matrix3, bound: Array) -> Quaternion:
     """The rotation R with the largest tr(R^T B), B the attitude profile matrix (Wahba's problem).
 
-    It is the eigenvector of the largest eigenvalue of Davenport's matrix. That matrix plus `total`
+    It is the eigenvector of the largest eigenvalue of Davenport's matrix. That matrix plus `bound`
     times the identity has no negative eigenvalue; divided by its trace and squared again and again
     it becomes the projection onto the eigenvector.
 
     Args:
         profile: B = sum of known times measured, transposed, by rows.
-        total: the number of directions, of length 1.
+        bound: at least the sum of the products of their lengths.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = profile
-    share = 0.25 / maximum(total, 1.0)
+    share = 0.25 / choose(bound > 0, bound, 1.0)
     K = (
         ((xx + yy + zz), zy - yz, xz - zx, yx - xy),
         (xx - yy - zz, xy + yx, xz + zx),

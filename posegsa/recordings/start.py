@@ -7,6 +7,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.errors import RecordingError
+from posegsa.model.first_pose import LIKE_A_DIRECTION
 from posegsa.model.measurements import Measurements, finite_array
 from posegsa.recordings.rotations import check_rotations
 
@@ -14,10 +15,6 @@ FIRST = 0.1
 """Averaging time of measurements for a start in motion [s]."""
 REST = 1.0
 """Assumed time at rest if the recording does not state it [s]."""
-
-LIKE_A_DIRECTION = 2.0
-"""The error of a landmark [m] that counts as one of 1 rad in a vector's direction: usual sensors
-have some 0.1 m and 0.05 rad."""
 
 
 class Start(NamedTuple):

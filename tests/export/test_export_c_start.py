@@ -1,6 +1,7 @@
 """`posegsa_init_from` of an exported filter, beside Python's start from the sensors."""
 
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -116,5 +117,26 @@ def test_what_no_sensor_gives_is_refused(tmp_path: Path):
     np.testing.assert_array_equal(codes, [OK, *(INVALID_INPUT,) * 3, OK])
 
 
-def test_sensors_that_never_show_a_pose_have_no_such_function():
-    assert "init_from" not in Case(AXES[2:], PLACES[:1]).header()
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(AXES[2:], PLACES[:1]),
+        Case(AXES[:0], PLACES[:2]),
+        Case(np.array([[0, 0, 1.0], [0, 0, 2.0]]), PLACES[:1]),
+    ],
+    ids=["one vector and one landmark", "two landmarks", "parallel vectors"],
+)
+def test_sensors_that_never_show_a_pose_have_no_such_function(case: Case):
+    assert "init_from" not in case.header()
+
+
+def test_a_vector_without_weight_is_not_asked():
+    case = CASES["two vectors and a landmark"]
+    filter = case.filter
+    assert isinstance(filter, posegsa.Observer)
+    weights = tuple(jnp.asarray(one) for one in (1.0, 0.0))
+    settings = replace(filter.settings, vectors=replace(filter.settings.vectors, weights=weights))
+    header = filter_to_c(
+        replace(filter, settings=settings), vectors=case.vectors, landmarks=case.landmarks
+    )
+    assert "init_from" not in header

@@ -353,6 +353,51 @@ def test_a_waiting_filter_is_kept_and_resumed(result):
         posegsa.PoseFilter(result, **START).restore(one.checkpoint())
 
 
+def test_while_it_waits_it_says_so(result):
+    one = posegsa.PoseFilter(result)
+    assert "waiting" in repr(one)
+    assert not one.observable
+    assert one.why_unobservable.startswith("waiting: no sample has shown a pose")
+    assert "waiting" not in repr(posegsa.PoseFilter(result, **START))
+
+
+def test_the_bias_of_the_start_is_kept(result):
+    """Neither a change of the caller's array nor another filter's bias gets in."""
+    steps, samples, _ = stream(result)
+    bias = np.full(6, 0.5)
+    one, other = posegsa.PoseFilter(result, bias=bias), posegsa.PoseFilter(result)
+    bias[:] = 9.0
+    other.restore(one.checkpoint())
+    for each in (one, other):
+        fed(each, steps, samples)
+    np.testing.assert_array_equal(one.bias, other.bias)
+    plain = posegsa.PoseFilter(result)
+    fed(plain, steps, samples)
+    assert np.abs(one.bias - plain.bias).max() > 0.1
+
+
+def test_a_sensor_without_weight_does_not_decide_the_start(result, x64):
+    """In the observer's settings, or as a factor."""
+    filter = result.filter_for(2, 1)
+    none = tuple(jnp.asarray(weight) for weight in (1.0, 0.0))
+    vectors = dataclasses.replace(filter.settings.vectors, weights=none)
+    settings = dataclasses.replace(filter.settings, vectors=vectors)
+    _, _, references = stream(result)
+    with pytest.raises(ArgumentError, match="never show a pose"):
+        posegsa.PoseFilter(dataclasses.replace(filter, settings=settings), **references)
+    with pytest.raises(ArgumentError, match="never show a pose"):
+        posegsa.PoseFilter(result, vector_weights=[1.0, 0.0])
+
+
+def test_at_the_first_sample_only_a_start_is_restored(result):
+    one = posegsa.PoseFilter(result)
+    one.reset(START["rotation"], START["position"])
+    wrong = one.checkpoint()
+    wrong["record"][:] = np.inf
+    with pytest.raises(ArgumentError, match="record holds NaN or infinity"):
+        posegsa.PoseFilter(result).restore(wrong)
+
+
 def test_sensors_that_never_show_a_pose_are_refused(result):
     """One vector and one landmark in a sample: the heading about the vector stays open."""
     with pytest.raises(ArgumentError, match="1 vector and 1 landmark never show a pose"):
@@ -422,7 +467,7 @@ def test_what_is_returned_is_the_callers_own(pose_filter):
     ("change", "message"),
     [
         (lambda c: c.pop("ages"), "checkpoint: without 'ages'"),
-        (lambda c: c.update(format=np.array(7)), "format 7; allowed: format 4"),
+        (lambda c: c.update(format=np.array(7)), "format 7; allowed: format 5"),
         (lambda c: c.update(record=c["record"][1:]), "record of float64"),
         (lambda c: c["parameters"].__imul__(2), "of a filter with other numbers"),
         (lambda c: c.update(structure=c["structure"] + 1), "of a filter with other laws or rules"),

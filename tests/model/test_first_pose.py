@@ -1,5 +1,7 @@
 """The start from the sensors, beside scipy's solution of Wahba's problem."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from posegsa.model.first_pose import first_pose, shown
+from posegsa.model.first_pose import LIKE_A_DIRECTION, first_pose, shown
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import prepare
 from posegsa.model.se3 import stack
@@ -43,18 +45,31 @@ def measured(
     return m, R, P
 
 
+def exact_of(v: Array, p: Array, R: Array, P: Array, bits: int) -> Measurements:
+    """What sensors without noise measure at one pose."""
+    return Measurements.from_arrays(
+        time_step=0.01,
+        angular_velocity=np.zeros((1, 3)),
+        velocity=np.zeros((1, 3)),
+        vectors=(v @ R)[None],
+        vector_references=v,
+        landmarks=((p - P) @ R)[None],
+        landmark_references=p,
+        dtype=np.dtype(f"float{bits}"),
+    )
+
+
 def unit(a: Array) -> Array:
     return a / np.linalg.norm(a, axis=-1, keepdims=True)
 
 
 def reference(m: Measurements) -> tuple[Array, Array]:
-    """Rotation and position of the first sample by scipy, all directions of length 1."""
-    seen, known = np.asarray(m.vectors)[0], np.asarray(m.vector_references)[0]
+    """Rotation and position of the first sample by scipy, landmarks in units of 2 m."""
     y, p = np.asarray(m.landmarks)[0], np.asarray(m.landmark_references)[0]
-    if len(y) > 1:
-        seen = np.concatenate([seen, y - y.mean(axis=0)])
-        known = np.concatenate([known, p - p.mean(axis=0)])
-    R = Rotation.align_vectors(unit(known), unit(seen))[0].as_matrix()
+    seen, known = unit(np.asarray(m.vectors)[0]), unit(np.asarray(m.vector_references)[0])
+    seen = np.concatenate([seen, (y - y.mean(axis=0)) / LIKE_A_DIRECTION])
+    known = np.concatenate([known, (p - p.mean(axis=0)) / LIKE_A_DIRECTION])
+    R = Rotation.align_vectors(known, seen)[0].as_matrix()
     return R, p.mean(axis=0) - R @ y.mean(axis=0)
 
 
@@ -82,15 +97,7 @@ def test_half_a_turn_is_nothing_special() -> None:
     v = np.eye(3)
     for axis in v:
         R = Rotation.from_rotvec(np.pi * axis).as_matrix()
-        m = Measurements.from_arrays(
-            time_step=0.01,
-            angular_velocity=np.zeros((1, 3)),
-            velocity=np.zeros((1, 3)),
-            vectors=(v @ R)[None],
-            vector_references=v,
-            landmarks=(v[:1] @ R)[None],
-            landmark_references=v[:1],
-        )
+        m = exact_of(v, v[:1], R, np.zeros(3), 32)
         np.testing.assert_allclose(first_pose(m).rotation, R, atol=1e-6)
 
 
@@ -112,13 +119,36 @@ def test_the_first_sample_that_fixes_a_pose_is_taken() -> None:
 
 
 @pytest.mark.usefixtures("x64")
-def test_parallel_vectors_fix_no_attitude() -> None:
+@pytest.mark.parametrize("which", ["both", "known", "seen"])
+def test_parallel_vectors_fix_no_attitude(which: str) -> None:
+    """Whether they are parallel as known, or a sensor that is stuck measures them so."""
     m, _, _ = measured(5, 2, 1, noise=0.0)
-    same = jnp.broadcast_to(m.vector_references[:, :1], m.vector_references.shape)
-    turned = m._replace(
-        vectors=jnp.broadcast_to(m.vectors[:, :1], m.vectors.shape), vector_references=same
-    )
-    assert first_pose(turned).sample == 1  # none
+    if which != "seen":
+        m = m._replace(vector_references=jnp.repeat(m.vector_references[:, :1], 2, axis=1))
+    if which != "known":
+        m = m._replace(vectors=jnp.repeat(m.vectors[:, :1], 2, axis=1))
+    assert first_pose(m).sample == 1  # none
+
+
+@pytest.mark.parametrize("bits", [32, 64])
+@pytest.mark.parametrize(
+    "places",
+    [
+        np.repeat([[0.1, 0.7, 0.3]], 3, axis=0),
+        [0.1, 0.7, 0.3] + np.arange(-1, 2)[:, None] * [1, 2, 3] / 7,
+        [[0.6, 1.2, 0.3], [1.6, 1.2, 0.3], [-0.4, 1.2, 0.3], [0.6, 2.2, 0.3], [0.6, 0.2, 0.3]],
+    ],
+    ids=["at one place", "on a line", "one in the middle"],
+)
+def test_a_landmark_at_the_centre_shows_no_direction(bits: int, places: Any) -> None:
+    """Only rounding is left of it, which two good vectors outweigh."""
+    R = Rotation.from_rotvec([0.3, -1.0, 2.0]).as_matrix()
+    with jax.enable_x64(bits == 64):
+        m = exact_of(np.eye(3)[1:], np.asarray(places), R, np.array([1.0, -2.0, 0.5]), bits)
+        found = first_pose(m)
+        np.testing.assert_allclose(found.rotation, R, atol=3e-6 if bits == 32 else 1e-12)
+        alone = first_pose(m._replace(vector_weights=jnp.zeros_like(m.vector_weights)))
+    assert int(alone.sample) == (0 if len(places) > 3 else 1)  # a plane shows an attitude
 
 
 @pytest.mark.usefixtures("x64")
