@@ -2,7 +2,7 @@
 
 import operator
 from collections.abc import Sequence
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import jax
@@ -71,29 +71,73 @@ def shown(vectors: Sequence[VectorSample], landmarks: Sequence[LandmarkSample]) 
             the same.
         landmarks: likewise.
     """
-    there = [_is_there(one.factor) for one in landmarks]
     zero = jnp.zeros_like([*vectors, *landmarks][0].factor)
-    centre = known_centre = zero, zero, zero
+    nothing = zero, zero, zero
+    centre = known_centre = nothing
+    none = nothing, nothing, nothing
+    sums = Sums(none, none, none)
+    if vectors:
+        sums, _ = lax.scan(_with_vector, sums, _stacked(vectors))
+    count = zero + 1
     if landmarks:
-        centre = _mean([one.body for one in landmarks], there)
-        known_centre = _mean([one.inertial for one in landmarks], there)
-    per_unit = 1 / LIKE_A_DIRECTION
-    seen = [scale(_is_there(one.factor), unit(one.measured)) for one in vectors]
-    known = [scale(_is_there(one.factor), unit(one.known)) for one in vectors]
-    for one, weight in zip(landmarks, there, strict=True):
-        seen.append(scale(weight * per_unit, subtract(one.body, centre)))
-        known.append(scale(weight * per_unit, subtract(one.inertial, known_centre)))
-    (size, apart), (seen_size, seen_apart) = _spread(known), _spread(seen)
-    fixed = apart & seen_apart
-    if landmarks:
-        fixed = fixed & (reduce(operator.add, there) > 0)
-    q = _best_rotation(_sum_of_products(known, seen), 0.5 * (size + seen_size))
-    return Shown(fixed, q, subtract(known_centre, rotate(rows(q), centre)))
+        (body, inertial, count), _ = lax.scan(_total, (nothing, nothing, zero), _stacked(landmarks))
+        centre, known_centre = (scale(1 / maximum(count, 1.0), one) for one in (body, inertial))
+        with_landmark = partial(_with_landmark, centre, known_centre)
+        sums, _ = lax.scan(with_landmark, sums, _stacked(landmarks))
+    (size, apart), (seen_size, seen_apart) = _spread(sums.known), _spread(sums.seen)
+    q = _best_rotation(sums.profile, 0.5 * (size + seen_size))
+    place = subtract(known_centre, rotate(rows(q), centre))
+    return Shown(apart & seen_apart & (count > 0), q, place)
 
 
-def _spread(directions: Sequence[Vec3]) -> tuple[Array, Array]:
+class Sums(NamedTuple):
+    """Sums over the directions of a sample, u as known and v as measured, by rows."""
+
+    known: Matrix3
+    """Of u u^T."""
+    seen: Matrix3
+    """Of v v^T."""
+    profile: Matrix3
+    """Of u v^T, Wahba's attitude profile matrix."""
+
+
+def _with(sums: Sums, known: Vec3, seen: Vec3) -> Sums:
+    """The sums with one more direction."""
+    pairs = zip(sums, ((known, known), (seen, seen), (known, seen)), strict=True)
+    return Sums(*(_plus_product(total, *pair) for total, pair in pairs))
+
+
+def _plus_product(total: Matrix3, a: Vec3, b: Vec3) -> Matrix3:
+    return (
+        add(total[0], scale(a[0], b)),
+        add(total[1], scale(a[1], b)),
+        add(total[2], scale(a[2], b)),
+    )
+
+
+def _with_vector(sums: Sums, one: VectorSample) -> tuple[Sums, None]:
+    weight = _is_there(one.factor)
+    return _with(sums, scale(weight, unit(one.known)), scale(weight, unit(one.measured))), None
+
+
+def _with_landmark(
+    centre: Vec3, known_centre: Vec3, sums: Sums, one: LandmarkSample
+) -> tuple[Sums, None]:
+    weight = _is_there(one.factor) / LIKE_A_DIRECTION
+    known, seen = subtract(one.inertial, known_centre), subtract(one.body, centre)
+    return _with(sums, scale(weight, known), scale(weight, seen)), None
+
+
+def _total(found: Any, one: LandmarkSample) -> tuple[Any, None]:
+    """Sums of the landmarks as measured and as known, and their number."""
+    body, inertial, count = found
+    weight = _is_there(one.factor)
+    seen, known = scale(weight, one.body), scale(weight, one.inertial)
+    return (add(body, seen), add(inertial, known), count + weight), None
+
+
+def _spread(products: Matrix3) -> tuple[Array, Array]:
     """The sum of the squares of directions, and whether these fix an attitude."""
-    products = _sum_of_products(directions, directions)
     size = products[0][0] + products[1][1] + products[2][2]
     square = size * size
     apart = 0.5 * (square - reduce(operator.add, (dot(row, row) for row in products)))
@@ -147,23 +191,13 @@ def _dot(a: Sequence[Array], b: Sequence[Array]) -> Array:
     return reduce(operator.add, (x * y for x, y in zip(a, b, strict=True)))
 
 
-def _sum_of_products(left: Sequence[Vec3], right: Sequence[Vec3]) -> Matrix3:
-    """Sum of the matrices left_i right_i^T, by rows."""
-    x, y, z = (
-        reduce(add, (scale(a[row], b) for a, b in zip(left, right, strict=True)))
-        for row in range(3)
-    )
-    return x, y, z
-
-
 def _is_there(factor: Array) -> Array:
     return choose(factor > 0, jnp.ones_like(factor), 0.0)
 
 
-def _mean(points: Sequence[Vec3], weights: Sequence[Array]) -> Vec3:
-    """The mean of points with weights of 0 and 1."""
-    per_count = 1 / maximum(reduce(operator.add, weights), 1.0)
-    return scale(per_count, reduce(add, map(scale, weights, points)))
+def _stacked(sensors: Sequence[Any]) -> Any:
+    """Sensors of one kind along a first axis: in C a loop, whatever their number."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sensors)
 
 
 class FirstPose(NamedTuple):

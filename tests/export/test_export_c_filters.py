@@ -476,7 +476,7 @@ def test_the_example_in_the_head_compiles_and_runs(tmp_path: Path, name: str):
 @needs_cc
 def test_the_example_of_the_page_with_all_sensors_finds_the_pose(tmp_path: Path):
     page = (ROOT / "docs" / "export.md").read_text("utf-8")
-    _, code = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
+    _, code, _ = re.findall(r"```c\n(.*?)```", page, re.DOTALL)
     (tmp_path / "example.c").write_text(code, "utf-8")
     header, source = header_of("recommended"), tmp_path / "example.c"
     program = compile_c(tmp_path, header, source, *watched(), compiler=COMPILERS[0])
@@ -499,10 +499,10 @@ def test_the_start_of_a_kalman_filter_says_from_how_far_off_it_converges():
 
 
 @pytest.mark.quick
-def test_the_kalman_filter_is_under_100_kb_however_many_landmarks():
+def test_the_kalman_filter_is_under_115_kb_however_many_landmarks():
     header = header_of("18 states")
     assert header.isascii()
-    assert len(header) < 100_000
+    assert len(header) < 115_000
     one = filter_to_c(case_of("18 states").filter, **KNOWN)
     assert len(header) - len(one) < 1000  # the table of the landmarks
 
