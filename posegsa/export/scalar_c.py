@@ -299,6 +299,8 @@ class Writer:
             arithmetic = name in ARITHMETIC
             least = strength if arithmetic else ARITHMETIC_BINDS
             left, right = self._bound(of[0], least), self._bound(of[1], least + arithmetic)
+            if name == "div" and all(map(_is_integer_in_c, of)):
+                left = f"POSEGSA_C({self._text(of[0])[0]})"  # C would divide integers
             return f"{left} {sign} {right}", strength
         if name in ("neg", "not"):
             return f"{'-' if name == 'neg' else '!'}{self._bound(of[0], 8)}", 7
@@ -374,6 +376,17 @@ def literal(number: float | bool | None) -> str:
 def kind_of(value: Value) -> str:
     """The type of a value in C."""
     return "int" if _is_predicate(value) else "posegsa_real"
+
+
+def _is_integer_in_c(value: Value) -> bool:
+    """Whether the text of a value, written in place, has the type int."""
+    operation, number = value.operation, value.number
+    if operation is None:
+        return number is not None and literal(number).strip("(-)").isdigit()
+    if operation.name == "select_n":
+        return all(map(_is_integer_in_c, operation.of[1:]))
+    whole = operation.name in ("add", "sub", "mul", "neg")
+    return whole and all(map(_is_integer_in_c, operation.of))
 
 
 def _is_predicate(value: Value) -> bool:

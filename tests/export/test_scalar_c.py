@@ -28,6 +28,16 @@ def test_a_value_used_once_is_written_in_place():
     assert lines(lambda a, b: -(a / (b * a)), ("x", "y"), "z") == ["z = -(x / (y * x));"]
 
 
+def test_a_quotient_of_whole_numbers_is_no_whole_number():
+    """C would divide 1 by 2 as integers, which is 0."""
+
+    def half(a):
+        return choose(a > 0, jnp.ones_like(a), 0.0) / 2
+
+    assert lines(half, ("x",), "z") == ["z = POSEGSA_C(x > 0 ? 1 : 0) / 2;"]
+    assert lines(lambda a: 1 / a, ("x",), "z") == ["z = 1 / x;"]
+
+
 def test_a_value_used_twice_is_named_after_its_function():
     def squared_sum(a, b):
         return a + b
