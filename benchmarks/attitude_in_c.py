@@ -125,11 +125,11 @@ def run_here(
 def code_size(one: Contender, folder: Path, tool: str, *options: str) -> int:
     """Bytes of code and constants of a filter: of what has no driver around it."""
     source, total = folder / "step.c", 0
-    begun = "int begin_it(filter_state *f, real dt, const real *acc, const real *mag)"
+    begin_it = "int begin_it(filter_state *f, real dt, const real *acc, const real *mag)"
     arguments = "filter_state *f, const real *gyr, const real *acc, const real *mag"
     source.write_text(
         '#include "attitude_filter.h"\n'
-        f"{begun};\n{begun}\n{{\n    return begin(f, dt, acc, mag);\n}}\n"
+        f"{begin_it};\n{begin_it}\n{{\n    return begin(f, dt, acc, mag);\n}}\n"
         "void attitude_of(filter_state *f, real *q);\n"
         "void attitude_of(filter_state *f, real *q)\n{\n    attitude(f, q);\n}\n"
         f"int one_step({arguments});\nint one_step({arguments})\n"

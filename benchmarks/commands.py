@@ -72,7 +72,7 @@ def run(python: str, words: list[str], folder: Path, cache: Path) -> tuple[float
     """CPU time and wall time of a command [s]."""
     dropped = ("XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR")
     inherited = {k: v for k, v in os.environ.items() if k not in dropped}
-    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     done = subprocess.run(
         [python, *words],
         cwd=folder,
@@ -80,7 +80,7 @@ def run(python: str, words: list[str], folder: Path, cache: Path) -> tuple[float
         capture_output=True,
         text=True,
     )
-    took, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+    took, after = time.perf_counter() - started, resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode != (2 if "x" in words else 0):
         raise RuntimeError(f"{words}: {done.stderr}")
     return (after.ru_utime - before.ru_utime) + (after.ru_stime - before.ru_stime), took

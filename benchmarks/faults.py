@@ -118,10 +118,10 @@ def overhead(repeats: int, folder: Path) -> dict[str, float]:
     search = found.search
     often = config.override(experiment, ["checkpoint.iterations=1", "search.iterations=1000"])
     saver = CheckpointWriter(folder, often, StopRequest())
-    begun = time.perf_counter()
+    started = time.perf_counter()
     for i in range(20):
         saver(search._replace(iteration=search.iteration + i), 0.0, 0.0)
-    one = (time.perf_counter() - begun) / 20
+    one = (time.perf_counter() - started) / 20
     return {
         "search without checkpoints [s]": round(least["without"], 3),
         "search with checkpoints [s]": round(least["with"], 3),

@@ -91,9 +91,9 @@ def measure(states: int, cores: int, folder: Path) -> dict[str, Any]:
         task.training, filters, kalman_population.build(folder, states), cores
     )
     known = by_hand().mean(axis=0)
-    begun = time.perf_counter()
+    started = time.perf_counter()
     costs = np.asarray(evaluate(vectors))
-    first = time.perf_counter() - begun
+    first = time.perf_counter() - started
     mean = float(abs(np.mean(known) / np.mean(costs) - 1))
     found: dict[str, Any] = {"states": states, "cores": cores, "first_call": first}
     found |= {"jax": jax.__version__, "mean_off": mean, "mean_cost": float(np.mean(costs))}

@@ -74,18 +74,18 @@ def drawn(experiment: config.Experiment, start: str, keys: Array) -> ScenarioBat
 
 def joined(batches: Iterable[ScenarioBatch]) -> ScenarioBatch:
     """One batch of all, with a start time for each scenario's estimate."""
-    begun = [
+    each_start = [
         one._replace(begin=np.zeros(len(one.bias), one.dtype)) if one.begin is None else one
         for one in batches
     ]
     names = ("samples", "initial", "bias", "vector_bias", "begin")
     together = {
         name: jax.tree.map(
-            lambda *leaves: np.concatenate(leaves), *(getattr(one, name) for one in begun)
+            lambda *leaves: np.concatenate(leaves), *(getattr(one, name) for one in each_start)
         )
         for name in names
     }
-    return begun[0]._replace(**together)
+    return each_start[0]._replace(**together)
 
 
 def searched(experiment: config.Experiment, by_clock: bool = False) -> tuple[Candidate, float]:

@@ -193,9 +193,9 @@ def step_seconds(optimiser: Optimiser) -> float:
     where, key = posegsa.box(np.zeros(22), np.ones(22)), jax.random.key(0)
     times = []
     for _ in range(11):  # the first one compiles
-        begun = time.perf_counter()
+        started = time.perf_counter()
         jax.block_until_ready(minimise(add_up, where, optimiser, key).best_cost)
-        times.append(time.perf_counter() - begun)
+        times.append(time.perf_counter() - started)
     return min(times[1:]) / optimiser.total_iterations
 
 

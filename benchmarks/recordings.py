@@ -217,9 +217,9 @@ def speed() -> list[dict[str, float]]:
         recording = _recording(samples)
         before, times = _memory(), []
         for _ in range(REPEATS):
-            begun = time.perf_counter()
+            started = time.perf_counter()
             posegsa.run_filter(observer, recording)
-            times.append(time.perf_counter() - begun)
+            times.append(time.perf_counter() - started)
         rows.append({"samples": samples, "seconds": min(times), "more_mib": _memory() - before})
     return rows[1:]
 

@@ -67,9 +67,9 @@ def timed(run: Callable[[], object], seconds: float) -> tuple[float, float]:
     """Best and median time [s] of calls repeated for about `seconds`, at least three times."""
     times: list[float] = []
     while len(times) < 3 or sum(times) < seconds:
-        begun = perf_counter()
+        started = perf_counter()
         run()
-        times.append(perf_counter() - begun)
+        times.append(perf_counter() - started)
     return min(times), float(np.median(times))
 
 

@@ -1,10 +1,10 @@
 """Schedules of a Kalman filter's noises compared with alternatives, on one family of scenarios.
 
 Every contender is searched with the same optimiser on the same training scenarios, and judged on
-others. All have the same number of evaluations, or more: a search goes on until ENOUGH more improve
-its training cost by less than LEAST (or it has MOST times that number). Prints the table of a
-family: mean cost, its difference from the paper's controller with a 95 % interval (paired,
-bootstrap), median, 99th percentile, worst.
+others. All have the same number of evaluations, or more: a search goes on until CHECK_INTERVAL more
+improve its training cost by less than MIN_IMPROVEMENT (or it has MAX_FACTOR times that number).
+Prints the table of a family: mean cost, its difference from the paper's controller with a 95 %
+interval (paired, bootstrap), median, 99th percentile, worst.
 
     python benchmarks/schedules.py recommended     # any start, as given; five minutes on two cores
     python benchmarks/schedules.py field --seeds 3
@@ -53,7 +53,7 @@ NOISES = [one.model_dump(mode="json") for one in KALMAN_ALSO]
 BELIEF_ALSO = [
     {"key": "filter.belief_smoothing", "lower": 0.01, "upper": 1.0, "scale": "logarithmic"}
 ]
-ENOUGH, LEAST, MOST = 500, 0.005, 4
+CHECK_INTERVAL, MIN_IMPROVEMENT, MAX_FACTOR = 500, 0.005, 4
 """Evaluations and share of the cost, and factor on the common number of evaluations."""
 CONTROLLER = "the paper's controller"
 TWO, NOISES_TOO = ", reset in two frames", ", noises too"
@@ -233,7 +233,7 @@ def search(name: str, one: config.Experiment, simpler: Searched | None = None) -
     agent is that filter.
     """
     agents, number = one.search.agents, one.search.evaluations
-    iterations = MOST * one.search.total_iterations
+    iterations = MAX_FACTOR * one.search.total_iterations
     one = one.replace(**{"search.iterations": iterations})
     problem = tuning_problem(one)
     if name == TIED:
@@ -246,10 +246,10 @@ def search(name: str, one: config.Experiment, simpler: Searched | None = None) -
         problem = problem._replace(space=search_space(one, spaces))
 
     def stop(search: Search, *_: float) -> None:
-        before = int(search.iteration) - math.ceil(ENOUGH / agents)
+        before = int(search.iteration) - math.ceil(CHECK_INTERVAL / agents)
         if before > 0 and int(search.iteration) * agents >= number:
             earlier = float(search.history.best[before - 1])
-            if float(search.best_cost) > (1 - LEAST) * earlier:
+            if float(search.best_cost) > (1 - MIN_IMPROVEMENT) * earlier:
                 raise EnoughSearched(search)
 
     try:

@@ -23,7 +23,7 @@ from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.first_pose import first_pose
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import are_collinear, why_attitude_unobservable, why_unobservable
-from posegsa.recordings.bridging import SLOWEST
+from posegsa.recordings.bridging import MAX_MEDIAN_STEP
 from posegsa.recordings.frames import GRAVITY
 from posegsa.recordings.imu import references as imu_references
 from posegsa.recordings.start import with_numpy_arrays
@@ -32,7 +32,7 @@ from posegsa.words import counted
 FORMAT = 5
 """Version of the checkpoint's layout."""
 
-FIRST = 50
+FIRST_SAMPLES = 50
 """Number of the first samples of a stream that show a wrong unit, if all of them do."""
 
 _STILL = np.zeros(3)
@@ -72,7 +72,7 @@ class PoseFilter:
     is refused, because the held value is too old. Give zeros for a sensor that you do not have.
 
     A time step in milliseconds, or an acceleration in multiples of g for the attitude filter, is no
-    error, but a PosegsaWarning once the first samples (FIRST) all look like it.
+    error, but a PosegsaWarning once the first samples (FIRST_SAMPLES) all look like it.
 
     Without a rotation and position the filter starts from its sensors: at the first sample that
     fixes a pose by itself, with a landmark and two directions that are not parallel, of vectors and
@@ -539,29 +539,32 @@ class _FirstSamples:
     def __init__(self, gravity: float | None) -> None:
         self._gravity = gravity
         """Its length in the accelerometer's unit; None without one."""
-        self._longest = SLOWEST if gravity is None else LONGEST_PAUSE
+        self._longest = MAX_MEDIAN_STEP if gravity is None else LONGEST_PAUSE
         self._steps: list[float] = []
         self._forces: list[float] = []
 
     def see(self, time_step: float, vectors: np.ndarray) -> None:
         """Take a sample's time step [s] and vectors (n, 3), 0 for a missing one."""
-        if len(self._steps) < FIRST:
+        if len(self._steps) < FIRST_SAMPLES:
             self._steps.append(time_step)
-            if len(self._steps) == FIRST and min(self._steps) > self._longest:
+            if len(self._steps) == FIRST_SAMPLES and min(self._steps) > self._longest:
                 pause = "each is a pause, after which the attitude is found anew; "
                 _warn(
-                    f"time_step: all of the first {FIRST} are over {self._longest:.2g} s (median "
-                    f"{np.median(self._steps):.3g} s); {pause if self._gravity else ''}allowed: "
-                    "the time to the next sample in seconds (milliseconds / 1000)"
+                    f"time_step: all of the first {FIRST_SAMPLES} are over {self._longest:.2g} s "
+                    f"(median {np.median(self._steps):.3g} s); {pause if self._gravity else ''}"
+                    "allowed: the time to the next sample in seconds (milliseconds / 1000)"
                 )
-        if self._gravity and len(self._forces) < FIRST and vectors[0].any():
+        if self._gravity and len(self._forces) < FIRST_SAMPLES and vectors[0].any():
             self._forces.append(float(np.linalg.norm(vectors[0])))
             low, high = (share * self._gravity for share in LEVELLING)
-            if len(self._forces) == FIRST and not any(low < one < high for one in self._forces):
+            if len(self._forces) == FIRST_SAMPLES and not any(
+                low < one < high for one in self._forces
+            ):
                 _warn(
-                    f"acc: all of the first {FIRST} are below {low:.3g} or above {high:.3g} in "
-                    f"length (median {np.median(self._forces):.3g}); allowed: specific force, "
-                    f"{self._gravity:.3g} at rest (m/s^2 are multiples of g times {GRAVITY:g})"
+                    f"acc: all of the first {FIRST_SAMPLES} are below {low:.3g} or above "
+                    f"{high:.3g} in length (median {np.median(self._forces):.3g}); allowed: "
+                    f"specific force, {self._gravity:.3g} at rest "
+                    f"(m/s^2 are multiples of g times {GRAVITY:g})"
                 )
 
 

@@ -200,7 +200,7 @@ class _Task(NamedTuple):
         return problem
 
     def references(self, problem: TuningProblem) -> Callable[[], References] | None:
-        """What judges the filter whatever is found, begun while the search is compiled."""
+        """What judges the filter whatever is found, started while the search is compiled."""
         return None if self.recorded else in_background(partial(references, problem))
 
 

@@ -47,8 +47,10 @@ def prepare(
         raise RuntimeError(f"{library}: its samples and filters have {made} numbers")
     run = loaded.kalman_filter_costs
     run.argtypes = [ctypes.c_int] * 3 + [FLOATS] * 3 + [ctypes.c_float, ctypes.c_int, FLOATS]
-    begun = batch.initial
-    start = _joined((*begun.attitude, *begun.place, *begun.bias_angular, *begun.bias_linear))
+    initial = batch.initial
+    start = _joined(
+        (*initial.attitude, *initial.place, *initial.bias_angular, *initial.bias_linear)
+    )
     out = np.empty((len(sample), len(noises)), np.float32)
     given = *sample.shape[:2], len(noises), sample, start, noises
 

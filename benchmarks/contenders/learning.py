@@ -97,9 +97,9 @@ def packed(task: TuningProblem, vectors: jax.Array) -> Packed:
         ],
         axis=-1,
     )
-    begun = training.initial
-    q, P = _joined(begun.attitude), _joined(begun.place)
-    biases = _joined(begun.bias_angular + begun.bias_linear)
+    initial = training.initial
+    q, P = _joined(initial.attitude), _joined(initial.place)
+    biases = _joined(initial.bias_angular + initial.bias_linear)
     start = np.concatenate([q, in_body(q, P), biases], axis=-1)
     return Packed(
         samples=_samples(task, settings, sensors),

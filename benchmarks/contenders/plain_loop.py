@@ -101,9 +101,9 @@ def measure(
     spent, steps = 0.0, 0
     for a in range(scene.agents):
         controller = make(scene.inputs[a], scene.outputs[a], 101)
-        begun = time.perf_counter()
+        started = time.perf_counter()
         simulate(slice_, controller)
-        spent, steps = spent + time.perf_counter() - begun, steps + slice_.samples
+        spent, steps = spent + time.perf_counter() - started, steps + slice_.samples
         if spent > seconds:
             break
     return {"costs": checked, "seconds_per_step": spent / steps, "steps": steps}

@@ -111,7 +111,7 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
     ):
         raise ValueError("the other contenders have the paper's rules and the exact centroid")
     training = task.training
-    sample, truth, begun = training.samples.sample, training.samples.truth, training.initial
+    sample, truth, initial = training.samples.sample, training.samples.truth, training.initial
     if truth is None or not isinstance(sample.vectors, Wahba):
         raise ValueError("the other contenders need the true pose, and vectors without biases")
     wahba = sample.vectors
@@ -140,9 +140,9 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
         landmark_weight=plain(landmark.factor * weight),
         true_attitude=joined(truth.attitude),
         true_origin=joined(truth.origin),
-        attitude=joined(begun.attitude),
-        position=joined(begun.place),
-        bias=joined(begun.bias_angular + begun.bias_linear),
+        attitude=joined(initial.attitude),
+        position=joined(initial.place),
+        bias=joined(initial.bias_angular + initial.bias_linear),
         cost_weight=plain(training.weights.transient) + plain(training.weights.steady),
         cost_position=float(training.weights.position),
         gamma=np.array([settings.gamma_angular, settings.gamma_linear], np.float64),
@@ -161,9 +161,9 @@ def timed(run: Callable[[], object], seconds: float, least: int = 3) -> list[flo
     """Times of repeated calls [s], for about this many seconds."""
     times: list[float] = []
     while len(times) < least or sum(times) < seconds:
-        begun = time.perf_counter()
+        started = time.perf_counter()
         run()
-        times.append(time.perf_counter() - begun)
+        times.append(time.perf_counter() - started)
     return times
 
 
@@ -231,7 +231,7 @@ def _limit(
 
 def time_search(options: argparse.Namespace) -> dict[str, Any]:
     """Time first calls, the paper's whole search, and the optimiser with a nearly free cost."""
-    begun = time.perf_counter()
+    started = time.perf_counter()
     task = task_of("float32")
     vectors = parameter_vectors(task, CHECKED_AGENTS).block_until_ready()
     ready = time.perf_counter()
@@ -251,7 +251,7 @@ def time_search(options: argparse.Namespace) -> dict[str, Any]:
     times = timed(alone, 1.0)
     return {
         "devices": len(jax.devices()),
-        "ready_seconds": ready - begun,
+        "ready_seconds": ready - started,
         "first_seconds": first,
         "compile_seconds": runs[0].compile_seconds,
         "best": min(run.search_seconds for run in runs),

@@ -121,8 +121,8 @@ class Scene:
 
     def first(self, samples: int) -> "Scene":
         """The first samples, from the initial estimate."""
-        begun = self.part(0, samples)
-        return replace(begun, attitude=self.attitude, position=self.position)
+        first = self.part(0, samples)
+        return replace(first, attitude=self.attitude, position=self.position)
 
     def save(self, path: Path) -> None:
         """Write it as .npz."""

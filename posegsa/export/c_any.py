@@ -250,11 +250,11 @@ class _Step:
         )
         attitude = numbered("now->attitude", 4)
         place = (0.0, 0.0, 0.0) if self.alone else vec3("now->position")
-        begun = written_in_loops(start, (self._given, attitude, place, 0.0), results)
+        opening = written_in_loops(start, (self._given, attitude, place, 0.0), results)
         given = (self._given, before, "now->time", sample)
         after = written_in_loops(advance, given, results)
         pieces = [
-            Piece.of("start", "the state before the first sample", begun),
+            Piece.of("start", "the state before the first sample", opening),
             Piece.of("advance", "the state at the next sample", after),
             rotation_matrix(),
         ]

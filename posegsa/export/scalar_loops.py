@@ -24,7 +24,7 @@ import numpy as np
 from posegsa.export.scalar_c import Code, Writer, kind_of, margin, wanted_of
 from posegsa.export.scalar_trace import Loop, Value, traced
 
-FEWEST = 8
+MIN_MEMBERS = 8
 """Minimum number of members of a list that becomes an array."""
 _SHORTEST = 3
 """Minimum number of turns of a loop."""
@@ -121,7 +121,7 @@ class _LoopWriter(Writer):
         for head, index, value in self._results_at:
             groups.setdefault(head, {})[index] = value
         for head, group in groups.items():
-            if head and len(group) >= FEWEST:
+            if head and len(group) >= MIN_MEMBERS:
                 todo.append((group, head))
         while todo:
             group, target = todo.pop(0)
@@ -135,7 +135,7 @@ class _LoopWriter(Writer):
                 and value.operation.name not in ("row", "carried", "loop")
                 and id(value) not in self._arrays
             }
-            if len(members) < FEWEST:
+            if len(members) < MIN_MEMBERS:
                 continue
             if targets.intersection(map(id, members.values())) or any(
                 self._uses[id(value)] > 1 for value in members.values()

@@ -189,16 +189,16 @@ class _Trace:
         trace = _Trace(self._dtype)
         results = trace.run(closed.jaxpr, inputs, trace.constants(closed.consts))
         results, stored = results[:carried], results[carried:]
-        last, begun = first + carried, list(given)
+        last, before = first + carried, list(given)
         for var, value in zip(equation.outvars[carried:], stored, strict=True):
             _check_kind("scan", var)
             moving = [Value(truth=_is_truth(var)) for _ in range(turns)]
             inputs[last:last] = moving
-            begun[last:last] = [self.number(False if _is_truth(var) else 0.0)] * turns
+            before[last:last] = [self.number(False if _is_truth(var) else 0.0)] * turns
             results += [*moving[1:], value]
             last += turns
         loop = Loop(turns, tuple(inputs), first, tuple(results))
-        whole = Value(operation=Operation("loop", tuple(begun), loop=loop))
+        whole = Value(operation=Operation("loop", tuple(before), loop=loop))
         after = [
             Value(operation=Operation("carried", (whole,), place=place))
             for place in range(len(results))
@@ -229,10 +229,10 @@ class _Trace:
                 refuse("a step with lax.cond of arrays", _ALLOWED)
             _check_kind("cond", var)
         otherwise, then = branches
-        begun = self.run(otherwise.jaxpr, operands, self.constants(otherwise.consts))
+        kept = self.run(otherwise.jaxpr, operands, self.constants(otherwise.consts))
         carried = [Value(truth=_is_truth(var)) for var in equation.outvars]
         # An operand that may stay as it is is changed on the spot.
-        places = {id(value): inside for value, inside in zip(begun, carried, strict=True)}
+        places = {id(value): inside for value, inside in zip(kept, carried, strict=True)}
         inputs = []
         for operand, var in zip(operands, then.jaxpr.invars, strict=True):
             plain = operand.number is not None and not operand.named
@@ -242,7 +242,7 @@ class _Trace:
         results = trace.run(then.jaxpr, inputs, trace.constants(then.consts))
         every = (Value(truth=True), *inputs, *carried)
         loop = Loop(1, every, len(inputs) + 1, tuple(results), conditional=True)
-        of = (condition, *operands, *begun)
+        of = (condition, *operands, *kept)
         whole = Value(operation=Operation("loop", of, loop=loop))
         return [
             Value(operation=Operation("carried", (whole,), place=place))

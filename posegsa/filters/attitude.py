@@ -728,9 +728,9 @@ def _stillness(
 ) -> tuple[Array, Vec3, Vec3]:
     """Whether the body rests at a sample, and the slow means of gyroscope and accelerometer."""
     share = dt / (REST_MEAN + dt)
-    begun = state.upright > 0
-    of_turning = choose(begun, share, 1.0)
-    of_force = choose(factor > 0, choose(begun, share, 1.0), 0.0)
+    started = state.upright > 0
+    of_turning = choose(started, share, 1.0)
+    of_force = choose(factor > 0, choose(started, share, 1.0), 0.0)
     turning = add(state.slow_turning, scale(of_turning, subtract(gyr, state.slow_turning)))
     slow = add(state.slow_force, scale(of_force, subtract(force, state.slow_force)))
     still = (

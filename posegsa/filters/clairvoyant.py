@@ -29,7 +29,7 @@ from posegsa.model.sample import Sample
 from posegsa.model.se3 import Vec3, add, scale, unstack
 from posegsa.model.signal import TruePose
 
-INSTANT = 1e-9
+JUMP_TIME = 1e-9
 """Time in which a jump happens [s]: long enough for float32, too short for a bias to act."""
 
 
@@ -126,7 +126,7 @@ def _jumped(state: KalmanState, sample: Sample, turn: Vec3, displacement: Vec3) 
     """
     zero = jnp.zeros_like(sample.time_step)
     silent = KalmanNoise(*(zero for _ in KalmanNoise._fields))
-    instant = zero + INSTANT
+    instant = zero + JUMP_TIME
     during = sample._replace(
         time_step=instant,
         angular_velocity=add(state.estimate.bias_angular, scale(1 / instant, turn)),

@@ -26,7 +26,7 @@ from posegsa.search.drawn_scenarios import cost_weights, family, scenario
 from posegsa.search.groups import in_groups, padded
 from posegsa.search.keys import GENERATOR, held_out_keys
 
-NEAR = 1e-3
+INITIAL_DEVIATION = 1e-3
 """Deviation of its initial pose about and along each axis [rad], [m]: small, but not 0."""
 
 
@@ -67,8 +67,8 @@ def _prior(experiment: config.Experiment) -> Clairvoyant:
     numbers = dict.fromkeys(KalmanNoise._fields, 0.0) | {
         "vector": 1.0,
         "landmark": 1.0,
-        "initial_attitude": NEAR,
-        "initial_position": NEAR,
+        "initial_attitude": INITIAL_DEVIATION,
+        "initial_position": INITIAL_DEVIATION,
         "initial_angular_bias": spread.angular,
         "initial_linear_bias": spread.linear,
         "initial_vector_bias": spread.vector,

@@ -19,7 +19,7 @@ from posegsa.words import counted, text_table
 
 PerWindow = Annotated[np.ndarray, Numbers("windows", allow="any")]
 
-WORSE = 1.02
+WORSE_RATIO = 1.02
 """Ratio of errors above which one counts as worse."""
 
 
@@ -80,7 +80,7 @@ class Endurance(NamedTuple):
     def worse(self) -> list[str]:
         """Errors and windows after the first in which the tuned filter is worse, as text.
 
-        An error below WORSE times the other's counts as equal.
+        An error below WORSE_RATIO times the other's counts as equal.
         """
         found = []
         for name, own, other in (
@@ -89,7 +89,7 @@ class Endurance(NamedTuple):
             ("distance", self.distance, self.other_distance),
         ):
             # `not <=` instead of `>`: NaN counts as worse.
-            windows = [i for i in range(1, len(own)) if not own[i] <= WORSE * other[i]]
+            windows = [i for i in range(1, len(own)) if not own[i] <= WORSE_RATIO * other[i]]
             found += [f"{name} from {self.begin[i]:g} to {self.end[i]:g} s" for i in windows]
         return found
 

@@ -94,7 +94,7 @@ def judge(
         problem: The problem that was searched.
         found: The outcome of the search.
         recorded: The recordings that it was tuned on, and those held out; None without recordings.
-        known: Returns the `references` of drawn scenarios, if they were begun before.
+        known: Returns the `references` of drawn scenarios, if they were started before.
     """
     search = found.search
     configured = _configured_if_gained_little(problem, float(search.best_cost))

@@ -39,11 +39,11 @@ def _with_what_is_judged(errors: dict[str, Rmse]) -> dict[str, Rmse]:
 
 NOT_CUT = 0.99
 """Ratio of used to requested gain above which the gain counts as not cut."""
-MATTERS = 1.02
+EQUAL_RATIO = 1.02
 """Ratio of errors below which filters count as equally good."""
 DRAWS = 2000
 """Draws of a bootstrap."""
-MOSTLY = 0.5
+LIMITED_SHARE = 0.5
 """Share of samples above which a result warns that the gain limit sets the gain."""
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -144,7 +144,7 @@ class OnRecordings:
         """Which of the compared filters is best on the held-out recordings, in a sentence.
 
         "" if there are none. Errors are means over the recordings; a filter is better if it errs
-        less in attitude or in position, by more than MATTERS.
+        less in attitude or in position, by more than EQUAL_RATIO.
         """
         if not (self.held_out and self.baselines):
             return ""
@@ -159,7 +159,7 @@ class OnRecordings:
             for name, each in found.items()
         }
         order = sorted(found, key=lambda name: gain[name], reverse=True)
-        better = {name: found[name] for name in order if gain[name] > 1 - 1 / MATTERS}
+        better = {name: found[name] for name in order if gain[name] > 1 - 1 / EQUAL_RATIO}
         others = {name: found[name] for name in order if name not in better}
         # A run knows the frame that it was tuned in, a configuration does not.
         of_run = "" if self.training else frame_option(self.frame)
@@ -178,7 +178,7 @@ class OnRecordings:
         found = [behind] if (behind := self._behind_constant()) else []
         shares = [each.limited for each in self.held_out or self.training]
         cut = [share for share in shares if share is not None]
-        if cut and np.mean(cut) > MOSTLY:
+        if cut and np.mean(cut) > LIMITED_SHARE:
             found.append(
                 "the schedule asks for more than the gain limit allows in "
                 f"{100 * np.mean(cut):.0f} % of the samples with a measurement: there the limit "

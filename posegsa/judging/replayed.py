@@ -16,7 +16,7 @@ from posegsa.words import counted, text_table
 
 MOST_TIMES = 3
 """Maximum number of times in a sentence."""
-FAR = 10.0
+LOST_RATIO = 10.0
 """Multiple of the position error at the start above which the position at the end is lost."""
 
 
@@ -34,7 +34,7 @@ class Replay(NamedTuple):
 
         It is lost if an estimate is not finite; or if over the last second (medians) its attitude
         is off by more than 90 deg, or its position by more than the body's largest distance from
-        the centre of its path, and by more than FAR times the error at the start.
+        the centre of its path, and by more than LOST_RATIO times the error at the start.
         """
         estimates, truth, errors = self.estimates, self.recording.truth, self.errors
         moved = [] if self.recording.attitude_only else [estimates.position]
@@ -54,7 +54,7 @@ class Replay(NamedTuple):
             return ""
         true, off = truth.position[known], float(np.median(errors.position[last]))
         reach = float(np.linalg.norm(true - true.mean(axis=0), axis=1).max())
-        if off > max(reach, FAR * float(errors.position[known[0]])):
+        if off > max(reach, LOST_RATIO * float(errors.position[known[0]])):
             return f"its position is off by {off:.3g} m at the end"
         return ""
 

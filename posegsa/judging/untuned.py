@@ -13,7 +13,7 @@ import numpy as np
 from posegsa import config
 from posegsa.search.population import ScenarioBatch
 
-LEAST = 1e-3
+SMALLEST_NOISE = 1e-3
 """Smallest standard deviation of a sensor and of a bias that it assumes, in their units."""
 
 
@@ -65,9 +65,9 @@ def untuned_kalman(experiment: config.Experiment) -> config.Experiment:
         "initial_linear_bias": spread.linear,
         "initial_vector_bias": spread.vector,
     }
-    least = {"angular_velocity": LEAST * root, "velocity": LEAST * root}
+    least = {"angular_velocity": SMALLEST_NOISE * root, "velocity": SMALLEST_NOISE * root}
     noises: dict[str, Any] = {
-        name: max(value, least.get(name, LEAST)) for name, value in numbers.items()
+        name: max(value, least.get(name, SMALLEST_NOISE)) for name, value in numbers.items()
     }
     plain = with_kalman(experiment, config.KalmanConfig(**noises))
     return plain.replace(**{"scenario.start": "sensors"})

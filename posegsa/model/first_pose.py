@@ -39,7 +39,7 @@ have some 0.1 m and 0.05 rad."""
 SQUARINGS = 24
 """Squarings of Davenport's matrix. At the least INDEPENDENT its largest eigenvalues are as near as
 1 to 1 - 2.5e-4, which 18 would part to 1e-28."""
-WAITING = 1e-6
+WAITING_STEP = 1e-6
 """Factor on the time steps before the start: nothing moves, and nothing is divided by 0."""
 REST = 1.0
 """Time after the start over which the velocities are averaged, if the body is at rest [s]."""
@@ -232,7 +232,7 @@ def waiting_until(measurements: Measurements, sample: Array) -> Measurements:
     waits = jnp.arange(count, dtype=sample.dtype) < sample
     none = jnp.where(waits, 0.0, 1.0).astype(measurements.time_step.dtype)
     return measurements._replace(
-        time_step=measurements.time_step * jnp.where(waits, WAITING, 1.0).astype(none.dtype),
+        time_step=measurements.time_step * jnp.where(waits, WAITING_STEP, 1.0).astype(none.dtype),
         vector_weights=measurements.vector_weights * none[:, None],
         landmark_weights=measurements.landmark_weights * none[:, None],
     )

@@ -282,8 +282,8 @@ def measure(scenario: Scenario, truth: Truth, key: Array) -> Sensed:
 
 def _inside(windows: Array, time: Array) -> Array:
     """Whether times (N,) lie in any of the windows (w, 2), start included, end excluded."""
-    begun = time[:, None] >= windows[None, :, 0]
-    return jnp.any(begun & (time[:, None] < windows[None, :, 1]), axis=1)
+    started = time[:, None] >= windows[None, :, 0]
+    return jnp.any(started & (time[:, None] < windows[None, :, 1]), axis=1)
 
 
 def _count(time: Array, events: Array) -> Array:

@@ -28,7 +28,7 @@ class EvosaxState(NamedTuple):
 
     strategy: Any  # the state of evosax
     asked: Array  # (agents, dimensions) the strategy's positions, before mirroring
-    begun: Array  # () bool, whether `tell` was called
+    told: Array  # () bool, whether `tell` was called
     key: Array  # random key for the next draws
 
 
@@ -97,7 +97,7 @@ class Evosax(Optimiser):
         with _loose():
             old = state.strategy
             # The first costs belong to the initial population.
-            made = lax.cond(state.begun, later, first, old) if from_costs else later(old)
+            made = lax.cond(state.told, later, first, old) if from_costs else later(old)
             asked, made = strategy.ask(key_ask, made, params)
         return EvosaxState(_like(made, old), asked.astype(dtype), jnp.asarray(True), key)
 

@@ -112,7 +112,7 @@ def minimise(
         runner(optimiser, objective, box, until=until, python_objective=python_objective)
     )
 
-    begun = time.monotonic()
+    started = time.monotonic()
     new = begin(box, key)
     if search is not None:
         _check_structure(search, new)
@@ -125,7 +125,7 @@ def minimise(
             continue  # under a transformation it is not yet known whether to stop
         if jnp.all(now.iteration < stop):
             break
-        if seconds is not None and time.monotonic() - begun >= seconds:
+        if seconds is not None and time.monotonic() - started >= seconds:
             break
     return now
 

@@ -26,7 +26,7 @@ from posegsa.settings.arrays import Numbers
 
 BLOCK, FEWEST_BLOCKS = 5.0, 4
 """Length of a block [s], and the blocks that a recording needs for a confidence interval."""
-SHORT = 20
+BLOCKS_IN_FIGURE = 20
 """Number of blocks, for a figure, of a recording that is too short for such an interval."""
 AnyNumber = Annotated[float, Numbers(allow="any")]
 """A number that may be NaN, or infinite if a filter diverged."""
@@ -97,13 +97,13 @@ class RecordingErrors(NamedTuple):
     def blocks(self) -> Blocks:
         """Mean square errors in blocks of BLOCK seconds of the judged samples.
 
-        Of a recording with fewer than FEWEST_BLOCKS they are in SHORT blocks.
+        Of a recording with fewer than FEWEST_BLOCKS they are in BLOCKS_IN_FIGURE blocks.
         """
         judged = np.flatnonzero(self.masks["judged"])
         length = max(1, int(BLOCK / np.median(np.diff(self.time))))
         count = round(len(judged) / length)
         if count < FEWEST_BLOCKS:
-            count = min(SHORT, len(judged))
+            count = min(BLOCKS_IN_FIGURE, len(judged))
         parts = np.array_split(judged, max(1, count))
         squares = [
             None if errors is None else [rmse(errors[part]) ** 2 for part in parts]

@@ -32,7 +32,7 @@ GAP = 5.0
 LONGEST_STEP = 3600.0
 """Upper limit of `longest_gap` [s]: longer gaps suggest time stamps in another unit."""
 ALLOWED = 'allowed: bridge = "hold" or "interpolate", of an inertial sensor also "keep" (--bridge)'
-SLOWEST, FASTEST = 1.0, 1e-5
+MAX_MEDIAN_STEP, MIN_MEDIAN_STEP = 1.0, 1e-5
 """Range of the median time step of inertial sensors [s]; outside it, the stamps have another
 unit."""
 
@@ -72,11 +72,12 @@ def stamps(time: ArrayLike | None, time_step: ArrayLike | None, samples: int) ->
     """
     found = _stamps(time, time_step, samples)
     step = float(np.median(np.diff(found)))
-    if step > SLOWEST or 0 < step < FASTEST:
+    if step > MAX_MEDIAN_STEP or 0 < step < MIN_MEDIAN_STEP:
         name = "time_step" if time is None else "time"
         raise RecordingError(
             f"{name}: a median step of {step:.3g} s, {1 / step:.3g} samples a second; allowed: "
-            f"{FASTEST:g} to {SLOWEST:g} s. Are the time stamps in another unit? Then state it: "
+            f"{MIN_MEDIAN_STEP:g} to {MAX_MEDIAN_STEP:g} s. Are the time stamps in another unit? "
+            "Then state it: "
             'the line time_unit = "ms" (or "us", "ns") in FILE.csv.toml beside FILE.csv, in Python '
             "from_csv(..., time_unit=); in arrays, floats are in s and integers in ns"
         )

@@ -17,7 +17,14 @@ from posegsa.recordings.held import held
 from posegsa.recordings.mistakes import mistakes
 from posegsa.recordings.noises import neighbours, noise_of, velocity_noises
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.relations import FEWEST, Quantities, Vector, misfits, quantities, true_force
+from posegsa.recordings.relations import (
+    MIN_INTERVALS,
+    Quantities,
+    Vector,
+    misfits,
+    quantities,
+    true_force,
+)
 from posegsa.words import counted, text_table
 
 
@@ -120,22 +127,22 @@ VECTORS = "vector", "accelerometer", "magnetometer"
 """First words of the names of vectors."""
 _PREFIXES = {"angular_velocity": "angular_", "velocity": "linear_"}
 """Prefixes of the keys of a velocity's walk and lead."""
-NONE = 1e-6
+SIMULATION_NOISE = 1e-6
 """A noise below this is that of a simulation without noise; no filter should assume it."""
-ROUNDED = 1e-6
+ROUNDING_SHARE = 1e-6
 """Noise by differences of neighbouring samples, as a share of what is measured, up to which it is
 rounding."""
-TOLD = 0.1
+MIN_BIAS_INFORMATION = 0.1
 """Least of the information on a field's bias by axis, 1 being that of a field that is known, from
 which on it is estimated."""
 FAR_OFF, LENGTH_OFF = 0.8, 1.6
 """A misfit above which something is mistaken, whatever it is; sensors have up to 0.5. That of a
 length is a logarithm, and one that strong motion makes larger, if nothing tells it."""
-STUCK = 0.05
+MIN_MOTION = 0.05
 """Standard deviation by the truth, in a sensor's unit, from which on it can't be constant."""
-FASTEST = 1000.0
+MAX_SPEED = 1000.0
 """Speed of the true position [m/s] above which it jumps."""
-DIFFER = 2.0
+SEPARATE_NOISE_RATIO = 2.0
 """Ratio of the noises of two vectors, or two landmarks, above which each gets its own."""
 WALKS = {"angular_walk": 2e-5, "vector_walk": 1e-5}
 """Walks if a recording shows none: the biases are assumed to hardly change within it."""
@@ -191,7 +198,11 @@ def _scales(recordings: Sequence[Sequence[SensorCheck]]) -> dict[str, tuple[floa
         if len({len(own) for own in noises}) > 1:
             continue  # a scale belongs to a sensor by its index
         own = np.median(np.array(noises), axis=0)
-        if len(own) < 2 or not np.all(own > NONE) or np.max(own) < DIFFER * np.min(own):
+        if (
+            len(own) < 2
+            or not np.all(own > SIMULATION_NOISE)
+            or np.max(own) < SEPARATE_NOISE_RATIO * np.min(own)
+        ):
             continue
         found[f"{kind}_scales"] = tuple(float(f"{x:.3g}") for x in own / np.median(own))
     return found
@@ -222,7 +233,7 @@ def _noises(recording: Recording, sensors: Sequence[SensorCheck]) -> dict[str, f
     """The noises and biases of sensors, by key of a Kalman filter's settings."""
     found, velocities = {}, velocity_noises(recording)
     for key, kind, bias, density in _SETTINGS:
-        own = [one for one in sensors if one.name.startswith(kind) and one.noise > NONE]
+        own = [one for one in sensors if one.name.startswith(kind) and one.noise > SIMULATION_NOISE]
         if not own:
             continue
         # A filter takes each repetition of a vector or a landmark for a new measurement.
@@ -302,9 +313,9 @@ def _stuck(q: Quantities) -> list[str]:
     found = []
     for one in predicted(q):
         seen, true = _known(one.measured), _known(one.expected)
-        if len(seen) < FEWEST or len(true) < FEWEST or np.any(np.ptp(seen, axis=0)):
+        if len(seen) < MIN_INTERVALS or len(true) < MIN_INTERVALS or np.any(np.ptp(seen, axis=0)):
             continue
-        if np.linalg.norm(np.std(true, axis=0)) > STUCK:
+        if np.linalg.norm(np.std(true, axis=0)) > MIN_MOTION:
             values = ", ".join(f"{x:.3g}" for x in seen[0])
             found.append(f"{one.sensor} never changes: it is ({values}) in all samples")
     return found
@@ -317,7 +328,7 @@ def _jumps(recording: Recording) -> list[str]:
     P, time = recording.truth.position, recording.time
     at = np.flatnonzero(np.isfinite(P).all(axis=1))
     steps = np.linalg.norm(np.diff(P[at], axis=0), axis=1)
-    far = np.flatnonzero(steps > FASTEST * np.diff(time[at]))
+    far = np.flatnonzero(steps > MAX_SPEED * np.diff(time[at]))
     if not far.size:
         return []
     k = far[0]
@@ -344,11 +355,11 @@ def _sensors(recording: Recording) -> list[SensorCheck]:
         if name in velocities:
             noise = velocities[name].density / math.sqrt(holding.samples * step)
             mean = velocities[name].bias
-        elif len(off) > FEWEST and name not in recording.sensors:
+        elif len(off) > MIN_INTERVALS and name not in recording.sensors:
             noise = noise_of(off, step) / math.sqrt(holding.samples)
         else:
             noise = neighbours(raw[holding.fresh])
-            rounding = ROUNDED * np.median(np.linalg.norm(raw, axis=1)) if len(raw) else 0.0
+            rounding = ROUNDING_SHARE * np.median(np.linalg.norm(raw, axis=1)) if len(raw) else 0.0
             noise = noise if noise > rounding else math.nan
         found.append(
             SensorCheck(
@@ -384,7 +395,7 @@ def _raw_bias(q: Quantities, vector: Vector) -> np.ndarray | None:
         return None
     turned = R.mean(axis=0)
     information = np.eye(3) - turned.T @ turned
-    if np.linalg.eigvalsh(information)[0] < TOLD:
+    if np.linalg.eigvalsh(information)[0] < MIN_BIAS_INFORMATION:
         return None
     left = b.mean(axis=0) - turned.T @ np.einsum("kij,kj->ki", R, b).mean(axis=0)
     return np.linalg.solve(information, left)

@@ -12,26 +12,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from posegsa.recordings.relations import FEWEST, Quantities
+from posegsa.recordings.relations import MIN_INTERVALS, Quantities
 from posegsa.recordings.rotations import inverse, product, quaternions
 
-LATE = 0.025
+NAMED_DELAY = 0.025
 """Delay above which a sensor is named [s]."""
-WIDEST = 0.2
+MAX_DELAY = 0.2
 """Largest delay that is tried [s]."""
-EXPLAINED = 0.22
+MIN_EXPLAINED = 0.22
 """Minimum share of the squares that a named delay explains, if the residual is not white."""
-CHANCE = 64.0
+MIN_TIMES_CHANCE = 64.0
 """The same if it is white, as a multiple of the share that chance explains of as many samples."""
-WHITE = 0.4
+WHITE_CORRELATION = 0.4
 """Correlation of neighbouring samples up to which the residual counts as white."""
 BLOCKS, DRAWS = 20, 400
 """Number of blocks of a recording, and of bootstrap draws of as many blocks."""
-AGREE = 0.01
-"""Share of the draws that may show another delay, by more than half of LATE."""
-SPAN = 0.05
+MAX_DISAGREEMENT = 0.01
+"""Share of the draws that may show another delay, by more than half of NAMED_DELAY."""
+DIFFERENTIATION_TIME = 0.05
 """Time over which the truth is differentiated [s]."""
-LARGEST = 4.0
+OUTLIER_MEDIANS = 4.0
 """Differences of more than this many medians are left out."""
 
 
@@ -55,10 +55,10 @@ class Delay(NamedTuple):
     @property
     def clear(self) -> bool:
         """Whether the sensor is clearly late or early."""
-        white = self.correlation < WHITE and self.chance > CHANCE
+        white = self.correlation < WHITE_CORRELATION and self.chance > MIN_TIMES_CHANCE
         white = white and not self.widest  # a trend is best explained at an end too
-        told = self.astray <= AGREE and (white or self.explained > EXPLAINED)
-        return abs(self.delay) > LATE and told
+        told = self.astray <= MAX_DISAGREEMENT and (white or self.explained > MIN_EXPLAINED)
+        return abs(self.delay) > NAMED_DELAY and told
 
     def __str__(self) -> str:
         word = "late" if self.delay > 0 else "early"
@@ -73,7 +73,7 @@ def late_sensors(q: Quantities) -> list[str]:
     if len(clear) > 2 and len(clear) == len(every):
         shifts = [one.delay for one in clear]
         middle = float(np.median(shifts))
-        if max(abs(shift - middle) for shift in shifts) < LATE / 2:
+        if max(abs(shift - middle) for shift in shifts) < NAMED_DELAY / 2:
             return [str(clear[0]._replace(sensor="each sensor", delay=middle))]
     return [str(one) for one in clear]
 
@@ -99,7 +99,7 @@ def predicted(q: Quantities) -> list[Predicted]:
     """All sensors whose measurements the truth predicts; none without a truth."""
     if q.rotation is None:
         return []
-    reach = max(1, round(0.5 * SPAN / float(np.median(np.diff(q.time)))))
+    reach = max(1, round(0.5 * DIFFERENTIATION_TIME / float(np.median(np.diff(q.time)))))
 
     def new(name: str, values: np.ndarray) -> np.ndarray:
         """The values without the repetitions of a held velocity."""
@@ -130,7 +130,7 @@ def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
     """The delay of measurements behind their prediction; None if it can't be estimated."""
     measured, expected = of.measured, of.expected
     step = float(np.median(np.diff(time)))
-    widest = max(1, round(WIDEST / step))
+    widest = max(1, round(MAX_DELAY / step))
     at = np.flatnonzero(np.isfinite(measured).all(axis=1))
     at = at[(at >= widest) & (at < len(time) - widest)]
     near = np.abs(time[at + widest] - time[at - widest] - 2 * widest * step) < step
@@ -138,12 +138,12 @@ def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
     rows = at[near][:, None] - shifts
     there = np.asarray(np.isfinite(expected).all(axis=1))[rows].all(axis=1)
     rows = rows[there]
-    if len(rows) < FEWEST:
+    if len(rows) < MIN_INTERVALS:
         return None
     seen = measured[at[near][there]]
     off = seen - expected[rows[:, widest]]
     size = np.linalg.norm(off - np.median(off, axis=0), axis=1)
-    usual = size <= LARGEST * np.median(size)
+    usual = size <= OUTLIER_MEDIANS * np.median(size)
     rows, seen = rows[usual], seen[usual]
     parts = np.linspace(0, len(rows), min(BLOCKS, len(rows)), endpoint=False).astype(int)
     by_part = np.empty((len(parts), len(shifts)))
@@ -161,7 +161,7 @@ def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
     chance = explained * 3 * len(rows)
     drawn = np.random.default_rng(0).multinomial(len(parts), [1 / len(parts)] * len(parts), DRAWS)
     away = np.abs(np.argmin(drawn @ by_part, axis=1) - best) * step
-    astray = float(np.mean(away > LATE / 2))
+    astray = float(np.mean(away > NAMED_DELAY / 2))
     ends = best in (0, len(shifts) - 1)
     delay = float(shifts[best] * step)
     return Delay(of.sensor, delay, explained, chance, correlation, astray, ends)

@@ -25,7 +25,7 @@ TRUTH = (
 """Patterns of the files of a sequence, in the order in which they are tried."""
 LANDMARKS = ((-4.0, -3.0, 0.5), (4.0, -3.0, 2.5), (4.0, 3.0, 0.5), (-4.0, 3.0, 2.5))
 """Corners of a room as large as the Vicon rooms [m]."""
-WITHIN = 0.1
+MAX_STAMP_DIFFERENCE = 0.1
 """Maximum difference of matching time stamps of IMU and reference, as a share of a step."""
 
 
@@ -56,7 +56,7 @@ def read_euroc(
     nearest = np.clip(np.searchsorted(stamps, imu_stamps), 1, len(stamps) - 1)
     nearest -= imu_stamps - stamps[nearest - 1] < stamps[nearest] - imu_stamps
     step = np.median(np.diff(imu_stamps))
-    both = np.abs(stamps[nearest] - imu_stamps) <= WITHIN * step
+    both = np.abs(stamps[nearest] - imu_stamps) <= MAX_STAMP_DIFFERENCE * step
     if both.sum() < 2:
         raise RecordingError(f"{folder}: no time stamps of the IMU and the reference match")
     first, last = np.flatnonzero(both)[[0, -1]]

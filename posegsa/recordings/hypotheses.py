@@ -13,7 +13,7 @@ from posegsa.recordings.frames import GRAVITY, UP, Frame
 from posegsa.recordings.relations import AXES, Quantities, Vector, given, misfits, north_of
 from posegsa.recordings.rotations import matrices, quaternions, to_east_north_up
 
-FITS, FITTED = 0.35, 0.1
+MAX_MISFIT, MAX_MISFIT_OF_FIT = 0.35, 0.1
 """Largest misfit, without the mistake, of the relation that improves most; and where numbers are
 taken from the data to undo it."""
 LENGTHS = ("cm", 100.0), ("mm", 1000.0)
@@ -36,7 +36,7 @@ class Hypothesis(NamedTuple):
     """How much it changes; of equally good ones the simplest is named."""
     of: str
     """Regular expression of the names of the relations that it is about."""
-    fits: float = FITS
+    fits: float = MAX_MISFIT
     """Largest misfit of the relation that improves most, without the mistake."""
 
 
@@ -172,7 +172,7 @@ def _of_truth(q: Quantities) -> Iterator[Hypothesis]:
             lambda q: _in_frame(q, turn, offset),
             5,
             TRUTH,
-            FITTED,
+            MAX_MISFIT_OF_FIT,
         )
     if q.velocity is not None:
         yield VELOCITY.mistake(
@@ -261,7 +261,7 @@ def _of_vector(q: Quantities, i: int, vector: Vector) -> Iterator[Hypothesis]:
             lambda q, points=points: _with_vector(q, i, replace(q.vectors[i], reference=points)),
             4,
             part.of,
-            FITTED,
+            MAX_MISFIT_OF_FIT,
         )
     if q.rotation is not None and _lacks_gravity(q, vector):
         yield part.mistake(
@@ -277,7 +277,7 @@ def _lacks_gravity(q: Quantities, vector: Vector) -> bool:
 
     Accelerations, impacts included, cancel in the mean: only gravity remains of a specific force.
     """
-    if misfits(q).get(f"{vector.name} and truth", 0.0) <= FITS:
+    if misfits(q).get(f"{vector.name} and truth", 0.0) <= MAX_MISFIT:
         return False
     reference = np.broadcast_to(given(vector.reference), vector.body.shape)
     along = np.sum(_to_body(q, reference) * vector.body, axis=1)
@@ -345,7 +345,7 @@ def _of_one_landmark(q: Quantities, j: int) -> Iterator[Hypothesis]:
             lambda q: q.changed(places=(*q.places[:j], place, *q.places[j + 1 :])),
             4,
             part.of,
-            FITTED,
+            MAX_MISFIT_OF_FIT,
         )
     yield from part.axes(more=2)
 

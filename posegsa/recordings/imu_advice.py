@@ -1,6 +1,6 @@
 """What an inertial sensor's own signals say against it: advice before its recording is used.
 
-The samples are divided into parts of PART seconds. In a part the sensor rests if gyroscope and
+The samples are divided into parts of PART_TIME seconds. In a part the sensor rests if gyroscope and
 accelerometer stay near their means, by the thresholds of the attitude filter (`filters.attitude`).
 What the gyroscope shows there is a bias if gravity and field do not turn as it says. Where neither
 would turn, as gravity does not about the vertical, it is one up to the largest that the filter
@@ -15,11 +15,11 @@ from posegsa.filters.attitude import LARGEST_BIAS, REST_SHAKING, REST_TURNING
 from posegsa.model.measurements import known_means
 from posegsa.recordings.frames import GRAVITY
 
-PART = 0.5
+PART_TIME = 0.5
 """Length of a part [s]."""
-FEWEST = 4
+MIN_PARTS = 4
 """Parts of rest, or of motion, that are enough to say something."""
-APART, SIDEWAYS, TURNS = 1.5, 0.3, 0.3
+COMPARED_AFTER, MIN_SIDEWAYS_SHARE, MIN_SEEN_SHARE = 1.5, 0.3, 0.3
 """Time between the directions that are compared at rest [s]; the least share of a turn that is
 sideways to a direction which shows it; and of this the least that is seen of a real turn."""
 FIELD_OFF, FORCE_OFF, BIAS_OFF = 0.1, 0.02, float(np.deg2rad(1.0))
@@ -37,7 +37,7 @@ def advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, time_step: 
         mag: (K, 3) magnetic field in any unit, NaN where missing; None without a magnetometer.
         time_step: median time between samples [s].
     """
-    return list(_advice(gyr, acc, mag, max(1, round(PART / time_step))))
+    return list(_advice(gyr, acc, mag, max(1, round(PART_TIME / time_step))))
 
 
 def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: int) -> Iterator[str]:
@@ -47,7 +47,7 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
     # A field of 0 is missing, as it is for the filter.
     known = None if mag is None else np.where(mag.any(axis=1, keepdims=True), mag, np.nan)
     field = None if known is None else _parts(known, length)
-    if np.count_nonzero(still) >= FEWEST:
+    if np.count_nonzero(still) >= MIN_PARTS:
         shown = np.median(bias[still], axis=0)
         speed = float(_length(shown))
         seen = [
@@ -55,7 +55,7 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
             for one in (pull, None if field is None else known_means(field))
         ]
         told = [share for share in seen if share is not None]
-        if speed >= BIAS_OFF and (max(told) < TURNS if told else speed <= LARGEST_BIAS):
+        if speed >= BIAS_OFF and (max(told) < MIN_SEEN_SHARE if told else speed <= LARGEST_BIAS):
             yield (
                 f"the gyroscope shows {np.degrees(speed):.1f} deg/s at rest: subtract it, or have "
                 f"the filter expect it (filter.initial_bias = {2 * speed:.2g}, in a file from "
@@ -72,13 +72,13 @@ def _advice(gyr: np.ndarray, acc: np.ndarray, mag: np.ndarray | None, length: in
     size = known_means(_length(field)[..., None])[:, 0]
     resting, moving = (size[np.isfinite(size) & which] for which in (still, ~still))
     cure = "calibrate the magnetometer in its place, or remove the magnet that is attached"
-    if min(len(resting), len(moving)) >= FEWEST:
+    if min(len(resting), len(moving)) >= MIN_PARTS:
         ratio = float(np.median(moving) / np.median(resting))
         if abs(ratio - 1) >= FIELD_OFF:
             share = 100 * abs(ratio - 1)
             yield f"the field differs by {share:.0f} % between rest and motion: {cure}"
             return
-    if len(moving) >= FEWEST:
+    if len(moving) >= MIN_PARTS:
         low, middle, high = np.quantile(moving, (0.05, 0.5, 0.95))
         if (high - low) / (2 * middle) >= FIELD_OFF:
             share = 100 * (high - low) / (2 * middle)
@@ -94,14 +94,14 @@ def _turned(seen: np.ndarray | None, still: np.ndarray, shown: np.ndarray) -> fl
     if seen is None or not speed:
         return None
     at = np.flatnonzero(still & np.isfinite(seen).all(axis=1) & (_length(seen) > 0))
-    apart = max(1, round(min(APART, 0.5 * np.pi / speed) / PART))
+    apart = max(1, round(min(COMPARED_AFTER, 0.5 * np.pi / speed) / PART_TIME))
     later = np.searchsorted(at, at + apart)
     first, last = at[later < len(at)], at[later[later < len(at)]]
     moved = np.cumsum(~still)
-    turn = speed * PART * (last - first)
+    turn = speed * PART_TIME * (last - first)
     u, v = (seen[k] / _length(seen[k])[:, None] for k in (first, last))
     sideways = _length(np.cross(shown / speed, u))
-    tells = (moved[first] == moved[last]) & (sideways > SIDEWAYS) & (turn < np.pi)
+    tells = (moved[first] == moved[last]) & (sideways > MIN_SIDEWAYS_SHARE) & (turn < np.pi)
     if not tells.any():
         return None
     angle = np.arctan2(_length(np.cross(u, v)), np.sum(u * v, axis=1))

@@ -9,19 +9,19 @@ import math
 import re
 from typing import NamedTuple
 
-from posegsa.recordings.hypotheses import FITS, Hypothesis, hypotheses
+from posegsa.recordings.hypotheses import MAX_MISFIT, Hypothesis, hypotheses
 from posegsa.recordings.relations import AXES, Quantities, misfits
 
-BETTER = 2.5
+MIN_RATIO = 2.5
 """Ratio of misfits, of the relation that improves most, above which a hypothesis is named."""
-MANY = 100.0
+MAX_SHOWN_RATIO = 100.0
 """Ratio that is not told more precisely."""
-MOST = 6
+MAX_MISTAKES = 6
 """Mistakes that are looked for, one after the other."""
-SUSPICIOUS = 0.06
+SUSPICIOUS_MISFIT = 0.06
 """Misfit with the truth up to which no mistake is looked for; for other relations, whose noise is
 not averaged, twice that."""
-AS_GOOD = 0.85
+AS_GOOD_SHARE = 0.85
 """Share of the largest improvement above which a simpler hypothesis is preferred."""
 
 
@@ -35,7 +35,7 @@ class Mistake(NamedTuple):
 
     def __str__(self) -> str:
         times = f"{self.times:.2g}" if self.times < 10 else f"{self.times:.0f}"
-        times = times if self.times < MANY else f"over {MANY:g}"
+        times = times if self.times < MAX_SHOWN_RATIO else f"over {MAX_SHOWN_RATIO:g}"
         return f"{self.words} (fits {times} times better)"
 
 
@@ -45,7 +45,7 @@ def mistakes(q: Quantities) -> list[Mistake]:
     Once one is found, the search continues on the corrected quantities.
     """
     found: list[Mistake] = []
-    for _ in range(MOST):
+    for _ in range(MAX_MISTAKES):
         best = _clearest(q)
         if best is None:
             break
@@ -72,12 +72,12 @@ def _clearest(q: Quantities) -> tuple[Hypothesis, float] | None:
             continue
         name = max(gains, key=gains.__getitem__)
         tried.append((sum(gains.values()), gains[name], after[name], hypothesis))
-    least = math.log(BETTER)
+    least = math.log(MIN_RATIO)
     tried = [one for one in tried if min(one[0], one[1]) > least and one[2] < one[3].fits]
     if not tried:
         return None
     most = max(total for total, *_ in tried)
-    near = [one for one in tried if one[0] >= AS_GOOD * most]
+    near = [one for one in tried if one[0] >= AS_GOOD_SHARE * most]
     _, largest, _, hypothesis = min(near, key=lambda one: (one[3].complexity, -one[0]))
     return hypothesis, math.exp(largest)
 
@@ -85,5 +85,5 @@ def _clearest(q: Quantities) -> tuple[Hypothesis, float] | None:
 def _usual(relation: str) -> float:
     """Misfit of a relation up to which no mistake is looked for."""
     if re.search(f", [{AXES}], ", relation):
-        return BETTER * FITS  # of one axis, relative to its changes, which may be small
-    return SUSPICIOUS if "truth" in relation else 2 * SUSPICIOUS
+        return MIN_RATIO * MAX_MISFIT  # of one axis, relative to its changes, which may be small
+    return SUSPICIOUS_MISFIT if "truth" in relation else 2 * SUSPICIOUS_MISFIT

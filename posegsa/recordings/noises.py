@@ -15,8 +15,9 @@ is removed. Its factor is the lead (`filters.leads`): half a step for one measur
 stamp.
 
 A vector's or a landmark's noise need not be white: accelerations, for instance, come and go. A
-filter that takes it for white should assume what remains of it in means over times up to SLOW: its
-noise is the largest sqrt(A(tau) tau / dt), with dt the time between measurements.
+filter that takes it for white should assume what remains of it in means over times up to
+LONGEST_AVERAGE: its noise is the largest sqrt(A(tau) tau / dt), with dt the time between
+measurements.
 """
 
 import math
@@ -28,21 +29,21 @@ from posegsa.recordings.held import held
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import inverse, log, product, quaternions
 
-SLOW = 2.0
+LONGEST_AVERAGE = 2.0
 """Longest time over which the noise of vectors and landmarks is averaged [s]."""
-LONGEST = 1 / 8
+LONGEST_TAU_SHARE = 1 / 8
 """Longest tau, as a share of a recording; fewer intervals would not be enough."""
-HORIZON, SMOOTHED = 0.5, 0.05
+LEAD_HORIZON, LEAD_SMOOTHING = 0.5, 0.05
 """Time over which a lead is fitted, and over which the true velocity is averaged for it [s]."""
-MATTERS = 0.1
-"""Minimum part of an error over HORIZON that a lead explains, as a share of the rest."""
-SMALLEST = 0.05
+MIN_LEAD_BENEFIT = 0.1
+"""Minimum part of an error over LEAD_HORIZON that a lead explains, as a share of the rest."""
+MIN_LEAD = 0.05
 """A smaller lead is not worth its states in the filter, in time steps."""
-CLEAR = 4.0
+MIN_WALK_RATIO = 4.0
 """A walk counts if its variance is this many times that of the white noise, at the longest tau."""
-FEWEST = 40
+MIN_MEASUREMENTS = 40
 """Minimum number of measurements for estimating a noise."""
-OWN = 0.5
+MIN_NOISE_SHARE = 0.5
 """Minimum noise of a velocity, as a share of the noise between its neighbouring samples."""
 _NORMAL = 1.4826
 """Standard deviation of normal numbers over the median of their size."""
@@ -70,7 +71,7 @@ def velocity_noises(recording: Recording) -> dict[str, VelocityNoise]:
     known = np.asarray(truth.known) & np.isfinite(truth.rotation).all(axis=(1, 2))
     dt = np.diff(time)[:, None]
     usual = known[:-1] & known[1:] & (dt[:, 0] < 3 * np.median(dt))
-    if usual.sum() < FEWEST:
+    if usual.sum() < MIN_MEASUREMENTS:
         return {}
     R = np.where(known[:, None, None], truth.rotation, np.eye(3))
     q = quaternions(R)
@@ -96,14 +97,16 @@ def _velocity_noise(
     late = np.where(usual[:, None], true - sensed, 0.0) * dt
     bias = -np.sum(late, axis=0) / np.sum(dt[usual])
     late += np.where(usual[:, None], bias, 0.0) * dt
-    change = _change(true, max(1, round(0.5 * SMOOTHED / step))) * dt
-    lead = _lead(np.cumsum(late, axis=0), np.cumsum(change, axis=0), max(1, round(HORIZON / step)))
+    change = _change(true, max(1, round(0.5 * LEAD_SMOOTHING / step))) * dt
+    lead = _lead(
+        np.cumsum(late, axis=0), np.cumsum(change, axis=0), max(1, round(LEAD_HORIZON / step))
+    )
     tau, variance = allan_variance(np.cumsum(late - lead * change, axis=0), step)
     if holding.samples > 1:
         long = tau >= 2 * holding.samples * step
         tau, variance = tau[long], variance[long]
     root = math.sqrt(holding.samples * step)
-    own = OWN * neighbours(sensed[holding.fresh]) * root
+    own = MIN_NOISE_SHARE * neighbours(sensed[holding.fresh]) * root
     if len(tau) < 4:
         off = (true - sensed)[holding.fresh]
         return VelocityNoise(max(own, neighbours(off) * root), 0.0, 0.0, bias)
@@ -111,7 +114,7 @@ def _velocity_noise(
 
     terms = np.stack([1 / tau, tau / 3, 3 / tau**2], axis=1)
     (white, walk, _), _ = nnls(terms / variance[:, None], np.ones(len(tau)))
-    clear = walk * tau[-1] ** 2 / 3 > CLEAR * white
+    clear = walk * tau[-1] ** 2 / 3 > MIN_WALK_RATIO * white
     return VelocityNoise(max(own, math.sqrt(white)), math.sqrt(walk) if clear else 0.0, lead, bias)
 
 
@@ -133,15 +136,15 @@ def _lead(late: np.ndarray, change: np.ndarray, span: int) -> float:
     It is 0 if it explains little, and a multiple of one half if the data agree with that.
     """
     y, x = late[span:] - late[:-span], change[span:] - change[:-span]
-    if len(y) < FEWEST or not np.any(x):
+    if len(y) < MIN_MEASUREMENTS or not np.any(x):
         return 0.0
     y, x = y - np.median(y, axis=0), x - np.median(x, axis=0)
     size = float(np.sum(x * x))
     lead = float(np.sum(x * y)) / size
-    least = MATTERS * math.sqrt(float(np.sum((y - lead * x) ** 2)) / size)
+    least = MIN_LEAD_BENEFIT * math.sqrt(float(np.sum((y - lead * x) ** 2)) / size)
     half = 0.5 * round(2 * lead)
     lead = half if abs(lead - half) < least else lead
-    return lead if lead > max(least, SMALLEST) else 0.0
+    return lead if lead > max(least, MIN_LEAD) else 0.0
 
 
 def allan_variance(sums: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -152,7 +155,7 @@ def allan_variance(sums: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarra
         step: Time from one sum to the next [s].
     """
     taus, found, m = [], [], 1
-    while m <= max(2, LONGEST * len(sums)) and len(sums) - 2 * m >= FEWEST:
+    while m <= max(2, LONGEST_TAU_SHARE * len(sums)) and len(sums) - 2 * m >= MIN_MEASUREMENTS:
         second = sums[2 * m :] - 2 * sums[m:-m] + sums[: -2 * m]
         size = _NORMAL * float(np.median(np.abs(second)))
         if size > 0:
@@ -171,7 +174,7 @@ def noise_of(errors: np.ndarray, period: float) -> float:
     """
     off = errors - np.median(errors, axis=0)
     tau, variance = allan_variance(np.cumsum(off, axis=0) * period, period)
-    short = tau <= max(SLOW, period)
+    short = tau <= max(LONGEST_AVERAGE, period)
     if not short.any():
         return neighbours(errors)
     return math.sqrt(float(np.max((tau * variance)[short])) / period)

@@ -42,8 +42,8 @@ from posegsa.recordings.rotations import about
 from posegsa.recordings.seen import check_something_is_seen
 from posegsa.recordings.sightings import spread_sightings, usual_intervals
 from posegsa.recordings.start import (
-    FIRST,
-    REST,
+    ASSUMED_REST,
+    AVERAGING_TIME,
     Start,
     StartRule,
     aligned,
@@ -631,7 +631,9 @@ class Recording:
             return self.start
         self.check_seen()
         rest = self.start == "rest"
-        samples = self._rest() if rest else slice(0, max(1, int(np.sum(self.time < FIRST))))
+        samples = (
+            self._rest() if rest else slice(0, max(1, int(np.sum(self.time < AVERAGING_TIME))))
+        )
         return aligned(self.measurements, samples, None if rest else self.start_bias)
 
     def window(self, begin: float = 0.0, end: float = math.inf) -> "Recording":
@@ -722,7 +724,7 @@ class Recording:
 
     def _rest(self) -> slice:
         """The samples at rest at the start of the recording."""
-        rest = self.phases.get("rest", self.time < REST)
+        rest = self.phases.get("rest", self.time < ASSUMED_REST)
         if not rest[0]:
             raise RecordingError(
                 f'{self.name}: start "rest", but the recording begins in motion (phase "rest"); '

@@ -1,6 +1,6 @@
 """Relations between the quantities of a recording, and their misfits.
 
-The motion of the body relates its sensors to each other. Over an interval of HORIZON the gyroscope
+The motion of the body relates its sensors to each other. Over an interval of INTERVAL the gyroscope
 gives a turn dR and the velocity a displacement dP in the body frame of its beginning, and
 
     turn and truth       R1 = R0 dR                      vector and turn     b1 = dR^T b0
@@ -39,31 +39,31 @@ from posegsa.recordings.inertial_frame import turned
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import inverse, log, matrices, product, quaternions
 
-HORIZON = 0.5
+INTERVAL = 0.5
 """Length of an interval [s]."""
-FASTEST = 0.008
+MIN_TIME_STEP = 0.008
 """Shortest time step that is used [s]; a faster recording is averaged."""
-MOST, PART = 6000, 1500
+MAX_SAMPLES, PART_SAMPLES = 6000, 1500
 """Maximum number of samples that are used, and the length of the parts that they are taken in: the
 parts in which the body turns most."""
-TURNED, MOVED = 0.03, 0.03
+MIN_TURN, MIN_DISPLACEMENT = 0.03, 0.03
 """Median turn [rad] and displacement [m] of an interval below which relations are left out."""
-FEWEST = 20
+MIN_INTERVALS = 20
 """Minimum number of intervals, or measurements, for a relation."""
-AVERAGED = 20
+AVERAGED_MEASUREMENTS = 20
 """Measurements of a vector that are averaged in the inertial frame, where it is constant."""
-CALMED = 500
+AVERAGED_FORCES = 500
 """The same of a vector that points up, if no position tells the body's acceleration. Of a specific
 force gravity remains: its mean over a time T is that and the change of the velocity over T, / T."""
-FINEST = 0.01
+MIN_MISFIT = 0.01
 """Smallest misfit: a smaller one counts as equal to it."""
-SHAKEN = 0.2
+FORCE_MEAN_TIME = 0.2
 """T of the means of specific force [s]."""
-SPARSE = 0.05
+MIN_MEASURED_SHARE = 0.05
 """Minimum share of the weights in such a mean that belongs to measurements."""
-LIVELY = 0.005
+MIN_FORCE_CHANGE = 0.005
 """Change of the specific force of an axis, as a share of gravity, below which it says nothing."""
-STEEP = 0.1
+MIN_HORIZONTAL_SHARE = 0.1
 """Horizontal share of a field's length below which it does not show where north is."""
 NORTH_OFF, NORTH_FITS = 0.3, 0.05
 """Distance of the field's horizontal direction (of length one) from north up to which it may be
@@ -139,13 +139,13 @@ def quantities(recording: Recording, *, averaged: bool = True, whole: bool = Fal
     """
     m = {name: np.asarray(a, np.float64) for name, a in recording.measurements._asdict().items()}
     count = recording.samples
-    step = max(1, int(FASTEST / recording.time_step + 1e-9))
+    step = max(1, int(MIN_TIME_STEP / recording.time_step + 1e-9))
     rows = np.arange(0, count - step + 1, step)
-    if len(rows) > MOST and not whole:
+    if len(rows) > MAX_SAMPLES and not whole:
         turning = np.linalg.norm(m["angular_velocity"][rows], axis=1)
-        parts = np.array_split(rows, math.ceil(len(rows) / PART))
+        parts = np.array_split(rows, math.ceil(len(rows) / PART_SAMPLES))
         most = np.argsort([-np.median(turning[p // step]) for p in parts], kind="stable")
-        rows = np.concatenate([parts[k] for k in sorted(most[: MOST // PART])])
+        rows = np.concatenate([parts[k] for k in sorted(most[: MAX_SAMPLES // PART_SAMPLES])])
     within = rows[:, None] + np.arange(step)
 
     def first(a: np.ndarray) -> np.ndarray:
@@ -234,7 +234,7 @@ def misfits(q: Quantities) -> dict[str, float]:
                 both = *both, *velocities
                 relate(f"{first.name} and {second.name}", _two_vectors, first, second, of=both)
     return {
-        name: max(FINEST, misfit)
+        name: max(MIN_MISFIT, misfit)
         for name, misfit in found.items()
         if misfit is not None and not math.isnan(misfit)
     }
@@ -256,17 +256,17 @@ def _moved(q: Quantities) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _intervals(q: Quantities, there: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """First and last samples of intervals of about HORIZON, among the measured ones (K,)."""
+    """First and last samples of intervals of about INTERVAL, among the measured ones (K,)."""
     at = np.flatnonzero(there)
-    if len(at) < FEWEST:
+    if len(at) < MIN_INTERVALS:
         return None
     time = q.time[at]
-    last = np.searchsorted(time, time + HORIZON * 0.999)
+    last = np.searchsorted(time, time + INTERVAL * 0.999)
     inside = last < len(at)
     first, last = np.flatnonzero(inside), last[inside]
-    near = time[last] - time[first] < 1.5 * HORIZON + 2 * np.median(np.diff(q.time))
+    near = time[last] - time[first] < 1.5 * INTERVAL + 2 * np.median(np.diff(q.time))
     first, last = at[first[near]], at[last[near]]
-    return (first, last) if len(first) >= FEWEST else None
+    return (first, last) if len(first) >= MIN_INTERVALS else None
 
 
 def _finite(*arrays: np.ndarray) -> np.ndarray:
@@ -303,7 +303,7 @@ def _turn_and_truth(q: Quantities) -> float | None:
     true = _true_turns(q, there)
     true = product(inverse(true[first]), true[last])
     size = _median_length(log(true))
-    if size < TURNED:
+    if size < MIN_TURN:
         return None
     turn, _ = _between(q, first, last)
     off = log(product(inverse(true), turn))
@@ -324,7 +324,7 @@ def _velocity_and_truth(q: Quantities) -> float | None:
     moved = np.concatenate([np.zeros((1, 3)), moved[:-1]])
     true = q.position[last] - q.position[first]
     size = _median_length(true)
-    if size < MOVED:
+    if size < MIN_DISPLACEMENT:
         return None
     off = np.einsum("kji,kj->ki", R[first], moved[last] - moved[first] - true)
     return _median_length(off - np.median(off, axis=0)) / size
@@ -333,7 +333,7 @@ def _velocity_and_truth(q: Quantities) -> float | None:
 def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
     assert q.rotation is not None
     there = _finite(q.rotation, vector.body)
-    if there.sum() < FEWEST:
+    if there.sum() < MIN_INTERVALS:
         return None
     b = vector.body[there]
     seen = np.einsum("kij,kj->ki", q.rotation[there], b)
@@ -342,9 +342,9 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
         return _median_length(seen - np.median(seen, axis=0)) / max(size, 1e-12)
     known = np.broadcast_to(vector.reference, vector.body.shape)
     r = known[there]
-    length = AVERAGED
+    length = AVERAGED_MEASUREMENTS
     if _is_calmed(q, vector):
-        length = CALMED
+        length = AVERAGED_FORCES
         size = _median_length(_means(seen, length))
     r = r * (size / max(_median_length(r), 1e-12))  # its length has a relation of its own
     found = _median_length(_means(seen - r, length)) / max(size, 1e-12)
@@ -355,7 +355,7 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
 
 
 def _is_calmed(q: Quantities, vector: Vector) -> bool:
-    """Whether gravity shows in a vector by CALMED alone, without the acceleration of the body."""
+    """Whether only means of many values of a vector, AVERAGED_FORCES, show gravity."""
     return vector.is_up and q.rotation is not None and q.position is None
 
 
@@ -370,11 +370,11 @@ def _north_and_truth(q: Quantities, vector: Vector) -> float | None:
     if q.frame is None:
         return None
     there = _finite(q.rotation, vector.body)
-    if there.sum() < FEWEST:
+    if there.sum() < MIN_INTERVALS:
         return None
     seen = np.mean(np.einsum("kij,kj->ki", q.rotation[there], vector.body[there]), axis=0)
     flat = float(np.linalg.norm(seen[:2]))
-    if flat < STEEP * _median_length(vector.body[there]):
+    if flat < MIN_HORIZONTAL_SHARE * _median_length(vector.body[there]):
         return None
     off = {F: float(np.linalg.norm(seen[:2] / flat - NORTH[F][:2])) for F in NORTH}
     if off[q.frame] <= NORTH_OFF:
@@ -393,7 +393,7 @@ def _axis_and_truth(q: Quantities, vector: Vector, k: int) -> float | None:
         pair = np.stack([force.body[:, k] - expected, expected], axis=1)
         pair = pair[_finite(force.body, pair)]
         off, change = np.median(np.abs(pair - np.median(pair, axis=0)), axis=0)
-        if change > LIVELY * _median_length(known):
+        if change > MIN_FORCE_CHANGE * _median_length(known):
             found.append(float(off / change))
     return min(found, default=None)
 
@@ -433,8 +433,8 @@ def _meanings(q: Quantities, vector: Vector) -> list[Vector]:
 def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Force | None:
     """Means of a specific force along a motion R (K, 3, 3), P (K, 3); None if there are too few."""
     step, count = float(np.median(np.diff(time))), len(time)
-    n = max(2, round(SHAKEN / step))
-    if count < 2 * n + FEWEST:
+    n = max(2, round(FORCE_MEAN_TIME / step))
+    if count < 2 * n + MIN_INTERVALS:
         return None
     there = _finite(R, vector.body)
     force = np.einsum("kij,kj->ki", R[there], vector.body[there])
@@ -445,14 +445,16 @@ def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Fo
         weighed = (sums[n:] - sums[:-n]) / n
     weighed = weighed[1:-1]
     whole = np.abs(time[2 * n :] - time[: -2 * n] - 2 * n * step) < step
-    whole &= weighed[:, 3] > SPARSE
+    whole &= weighed[:, 3] > MIN_MEASURED_SHARE
     scale = _median_length(given(vector.reference)) / GRAVITY
     second = (P[2 * n :] - 2 * P[n:-n] + P[: -2 * n]) / (n * step) ** 2
     both = np.full((2, count, 3), np.nan)
     back = R[n:-n][whole]
-    for k, a in enumerate((weighed[:, :3] / np.maximum(weighed[:, 3:], SPARSE), scale * second)):
+    for k, a in enumerate(
+        (weighed[:, :3] / np.maximum(weighed[:, 3:], MIN_MEASURED_SHARE), scale * second)
+    ):
         both[k, n:-n][whole] = np.einsum("kji,kj->ki", back, a[whole])
-    return Force(*both) if _finite(*both).sum() >= FEWEST else None
+    return Force(*both) if _finite(*both).sum() >= MIN_INTERVALS else None
 
 
 def given(a: np.ndarray | None) -> np.ndarray:
@@ -468,14 +470,16 @@ def _means(a: np.ndarray, length: int) -> np.ndarray:
 
 
 def _length(q: Quantities, vector: Vector) -> float | None:
-    if _finite(vector.body).sum() < FEWEST:
+    if _finite(vector.body).sum() < MIN_INTERVALS:
         return None
     known = max(_median_length(given(vector.reference)), 1e-12)
     sizes = [_median_length(one.body[_finite(one.body)]) for one in _meanings(q, vector)]
     if _is_calmed(q, vector):
         there = _finite(given(q.rotation), vector.body)
         seen = np.einsum("kij,kj->ki", given(q.rotation)[there], vector.body[there])
-        sizes += [_median_length(_means(seen, CALMED))] if there.sum() >= FEWEST else []
+        sizes += (
+            [_median_length(_means(seen, AVERAGED_FORCES))] if there.sum() >= MIN_INTERVALS else []
+        )
     return min(abs(np.log(max(size, 1e-12) / known)) for size in sizes)
 
 
@@ -490,7 +494,7 @@ def _direction_and_turn(q: Quantities, body: np.ndarray) -> float | None:
         return None
     first, last = found
     turn, _ = _between(q, first, last)
-    if _median_length(log(turn)) < TURNED:
+    if _median_length(log(turn)) < MIN_TURN:
         return None
     before, after = body[first], body[last]
     off = after - np.einsum("kji,kj->ki", matrices(turn), before)
@@ -502,7 +506,7 @@ def _landmark_and_truth(q: Quantities, j: int) -> float | None:
     assert q.position is not None
     y = q.landmarks[j]
     there = _finite(q.rotation, q.position, y)
-    if there.sum() < FEWEST:
+    if there.sum() < MIN_INTERVALS:
         return None
     expected = np.einsum("kji,kj->ki", q.rotation[there], q.places[j] - q.position[there])
     return _median_length(y[there] - expected) / max(_median_length(expected), 1e-12)
@@ -522,7 +526,7 @@ def _landmark_and_motion(q: Quantities, j: int) -> float | None:
 def _two_landmarks(q: Quantities, i: int, j: int) -> float | None:
     between = q.landmarks[i] - q.landmarks[j]
     there = _finite(between)
-    if there.sum() < FEWEST:
+    if there.sum() < MIN_INTERVALS:
         return None
     known = float(np.linalg.norm(q.places[i] - q.places[j]))
     seen = np.linalg.norm(between[there], axis=1)
@@ -538,7 +542,7 @@ def _two_vectors(q: Quantities, one: Vector, other: Vector) -> float | None:
     found = []
     for first, second in itertools.product(_meanings(q, one), _meanings(q, other)):
         there = _finite(first.body, second.body)
-        if there.sum() >= FEWEST:
+        if there.sum() >= MIN_INTERVALS:
             seen = cosine(first.body[there], second.body[there])
             found.append(abs(float(np.median(seen)) - known))
     return min(found, default=None)

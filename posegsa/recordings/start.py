@@ -11,9 +11,9 @@ from posegsa.model.first_pose import LIKE_A_DIRECTION
 from posegsa.model.measurements import Measurements, finite_array
 from posegsa.recordings.rotations import check_rotations
 
-FIRST = 0.1
+AVERAGING_TIME = 0.1
 """Averaging time of measurements for a start in motion [s]."""
-REST = 1.0
+ASSUMED_REST = 1.0
 """Assumed time at rest if the recording does not state it [s]."""
 
 

@@ -18,7 +18,7 @@ WINDOW = 0.1
 MIN_TURN = 0.1
 """Minimum sum of squared turns by the accelerometer [rad^2] for determining the unit: 18 deg in
 one turn."""
-FOLLOWS = 0.1
+MIN_CORRELATION = 0.1
 """Minimum correlation of both turns for determining the unit. Below it the body's accelerations
 turn the direction: a slope near 0 is then no unit. In windows of 5 s and more of BROAD it is above
 that wherever the slope is that of rad/s to a factor of two, but for one in 500."""
@@ -89,6 +89,6 @@ def gyroscope_unit(gyr: np.ndarray, acc: np.ndarray, time_step: float) -> float 
     if np.sum(moved**2) < MIN_TURN:
         return None
     square, both = float(np.sum(expected**2)), float(np.sum(expected * moved))
-    if both <= FOLLOWS * math.sqrt(square * float(np.sum(moved**2))):
+    if both <= MIN_CORRELATION * math.sqrt(square * float(np.sum(moved**2))):
         return None
     return both / square

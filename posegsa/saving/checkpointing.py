@@ -94,8 +94,8 @@ def search_with_checkpoints(
                 path.unlink()
         search, before = first_search(problem), (0.0, 0.0)
     else:
-        begun = first_search(problem._replace(experiment=run.about.experiment))
-        search = lengthened(run.checkpoint.search(begun), experiment.search.total_iterations)
+        search = first_search(problem._replace(experiment=run.about.experiment))
+        search = lengthened(run.checkpoint.search(search), experiment.search.total_iterations)
         before = run.about.search_seconds, run.about.compile_seconds
     if objects_in(search):
         warnings.warn(

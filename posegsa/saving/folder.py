@@ -46,8 +46,8 @@ def locked_folder(folder: str | Path, *, overwrite: bool = False) -> Iterator[Pa
 
 def holds_run(folder: Path) -> bool:
     """Whether a folder contains a run, finished or not."""
-    begun = any((folder / CHECKPOINTS).glob(f"*{CHECKPOINT_SUFFIX}"))
-    return begun or _holds_finished_run(folder)
+    started = any((folder / CHECKPOINTS).glob(f"*{CHECKPOINT_SUFFIX}"))
+    return started or _holds_finished_run(folder)
 
 
 def _holds_finished_run(folder: Path) -> bool:

@@ -94,7 +94,7 @@ def run_timed(
     """
     tell, seen = progress or (lambda _: None), after_chunk or (lambda *_: None)
     seen(collect(search), 0.0, 0.0)
-    begun = time.monotonic()
+    started = time.monotonic()
     # No iterations yet: this compiles, unless this process has run a search of this structure.
     search = jax.block_until_ready(run(search, 0))
     compiled = before = time.monotonic()
@@ -114,7 +114,7 @@ def run_timed(
         best = float(np.min(here.best_cost))
         reached = Progress(stop, iterations, best_cost=best, seconds=now - compiled)
         try:
-            seen(here, now - compiled, compiled - begun)
+            seen(here, now - compiled, compiled - started)
         except SearchInterrupted:  # these iterations are done
             with contextlib.suppress(Exception):  # the interrupt matters more than its report
                 tell(reached)
@@ -124,7 +124,7 @@ def run_timed(
             pace = max(now - before, 1e-9) / (stop - done)
             fits = max(1, min(even, int(LONGEST_CHUNK / pace)))
         done, before = stop, time.monotonic()
-    return Found(here, compiled - begun, time.monotonic() - compiled)
+    return Found(here, compiled - started, time.monotonic() - compiled)
 
 
 def first_search(problem: TuningProblem, key: Array | None = None) -> Search:

@@ -17,7 +17,7 @@ import posegsa
 from posegsa.errors import ArgumentError, MeasurementError, PosegsaWarning
 from posegsa.model.first_pose import first_pose
 from posegsa.model.schedules import SwitchGain
-from posegsa.streaming import FIRST
+from posegsa.streaming import FIRST_SAMPLES
 
 pytestmark = pytest.mark.quick
 
@@ -676,31 +676,31 @@ def fed_the_same(live: posegsa.PoseFilter, times: int, **sample: Any) -> None:
 def test_a_time_step_in_milliseconds_is_said_once(pose_filter) -> None:
     live = posegsa.PoseFilter("imu")
     sample = {"gyr": np.zeros(3), "acc": [0, 0, 9.8]}
-    fed_the_same(live, FIRST - 1, time_step=10.0, **sample)
+    fed_the_same(live, FIRST_SAMPLES - 1, time_step=10.0, **sample)
     with pytest.warns(
         PosegsaWarning, match="time_step: .*over 0.25 s .median 10 s.*a pause.*seconds"
     ):
         live.update(time_step=10.0, **sample)
-    fed_the_same(live, FIRST, time_step=10.0, **sample)
+    fed_the_same(live, FIRST_SAMPLES, time_step=10.0, **sample)
     # A pause among the first samples is none.
     live = posegsa.PoseFilter("imu")
-    for k in range(FIRST + 1):
+    for k in range(FIRST_SAMPLES + 1):
         live.update(time_step=0.01 if k == 3 else 10.0, **sample)
     still = {"angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
     with pytest.warns(PosegsaWarning, match="time_step: .*over 1 s.*in seconds") as said:
-        fed_the_same(pose_filter, FIRST, time_step=10.0, **still)
+        fed_the_same(pose_filter, FIRST_SAMPLES, time_step=10.0, **still)
     assert len(said) == 1
 
 
 def test_an_acceleration_in_multiples_of_g_is_said_once() -> None:
     live, sample = posegsa.PoseFilter("imu"), {"time_step": 0.01, "gyr": np.zeros(3)}
-    fed_the_same(live, FIRST - 1, **sample, acc=[0, 0, 0.98])
-    fed_the_same(live, FIRST, **sample)  # a slower accelerometer
+    fed_the_same(live, FIRST_SAMPLES - 1, **sample, acc=[0, 0, 0.98])
+    fed_the_same(live, FIRST_SAMPLES, **sample)  # a slower accelerometer
     with pytest.warns(PosegsaWarning, match="acc: .*first 50.*median 0.98.*m/s") as said:
-        fed_the_same(live, 2 * FIRST, **sample, acc=[0, 0, 0.98])
+        fed_the_same(live, 2 * FIRST_SAMPLES, **sample, acc=[0, 0, 0.98])
     assert len(said) == 1
     live = posegsa.PoseFilter("imu")
-    for k in range(FIRST + 1):  # one that is dropped, or hit, at first
+    for k in range(FIRST_SAMPLES + 1):  # one that is dropped, or hit, at first
         live.update(**sample, acc=[0, 0, 9.8 if k > 40 else 0.5])
 
 

@@ -12,7 +12,7 @@ from posegsa.config.shipped import find
 from posegsa.errors import ArgumentError
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.rollout import simulate_cost
-from posegsa.judging.clairvoyance import NEAR, clairvoyant_costs
+from posegsa.judging.clairvoyance import INITIAL_DEVIATION, clairvoyant_costs
 from posegsa.model.estimate import initial_state
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
@@ -44,8 +44,8 @@ def test_where_nothing_happens_it_is_the_kalman_filter_from_the_true_pose(start:
         "velocity": 2 * 0.1 * 0.1,
         "vector": 2 * 0.1,
         "landmark": 2 * 0.1,
-        "initial_attitude": NEAR,
-        "initial_position": NEAR,
+        "initial_attitude": INITIAL_DEVIATION,
+        "initial_position": INITIAL_DEVIATION,
         "initial_angular_bias": 0.2,  # as drawn
         "initial_linear_bias": np.sqrt((0.2**2 + 0.5**2 + 0.1**2) / 3),  # as configured
         "initial_vector_bias": np.sqrt(4 * 0.1**2 / 6),

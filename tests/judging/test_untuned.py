@@ -8,7 +8,7 @@ import posegsa
 from posegsa import config
 from posegsa.judging.description import Description
 from posegsa.judging.evaluation import UNTUNED
-from posegsa.judging.untuned import LEAST, bias_spread, untuned_kalman
+from posegsa.judging.untuned import SMALLEST_NOISE, bias_spread, untuned_kalman
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -25,7 +25,8 @@ def test_its_noises_are_densities_of_the_scenario_s_own_sensors() -> None:
     )
     assert plain.filter.kind == "kalman"
     assert plain.filter.angular_velocity == pytest.approx(0.5 * 0.05)
-    assert plain.filter.velocity == pytest.approx(LEAST * 0.05), "of a perfect sensor, not 0"
+    of_perfect_sensor = plain.filter.velocity
+    assert of_perfect_sensor == pytest.approx(SMALLEST_NOISE * 0.05), "not 0"
     assert plain.filter.vector == pytest.approx(np.sqrt((0.09 + 0.16) / 2))
     assert plain.scenario.start == "sensors"
 

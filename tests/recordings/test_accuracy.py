@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 import posegsa
 from posegsa.errors import MeasurementError, RecordingError
 from posegsa.filters.rollout import Estimates
-from posegsa.recordings.accuracy import SHORT
+from posegsa.recordings.accuracy import BLOCKS_IN_FIGURE
 from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.quick
@@ -54,7 +54,9 @@ def estimates_of(recording: Recording, turned: Rotation, moved: list[float]) -> 
     )  # type: ignore[arg-type]  # NumPy arrays will do
 
 
-@pytest.mark.parametrize(("seconds", "blocks"), [(4, SHORT), (10, SHORT), (20, 4), (60, 12)])
+@pytest.mark.parametrize(
+    ("seconds", "blocks"), [(4, BLOCKS_IN_FIGURE), (10, BLOCKS_IN_FIGURE), (20, 4), (60, 12)]
+)
 def test_a_short_recording_has_blocks_for_a_figure(seconds: float, blocks: int) -> None:
     recording = Recording.from_arrays(**motion(100 * seconds))
     turned = Rotation.from_rotvec([0, 0, 0.1])

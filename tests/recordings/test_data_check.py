@@ -421,8 +421,8 @@ def test_the_figure_has_a_panel_for_each_sensor() -> None:
 
 
 def test_the_figure_shows_a_long_recording_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(relations, "MOST", 600)
-    monkeypatch.setattr(relations, "PART", 300)
+    monkeypatch.setattr(relations, "MAX_SAMPLES", 600)
+    monkeypatch.setattr(relations, "PART_SAMPLES", 300)
     found = check(Recording.from_arrays(**flown()))
     drawn = plot_check(found).axes[0].lines[0].get_xdata()
     assert (drawn[0], drawn[-1]) == (found.recording.time[0], found.recording.time[-1])
