@@ -3,75 +3,30 @@
 import dataclasses
 import math
 import pickle
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.recordings import inertial_motion
 from helpers.results import trust
 from helpers.schedules import K, tuned
+from helpers.streams import START, N, at_once, fed, learning_filter, stream
 
 import posegsa
 from posegsa.errors import ArgumentError, MeasurementError, PosegsaWarning
-from posegsa.model.first_pose import first_pose
 from posegsa.model.schedules import SwitchGain
-from posegsa.streaming import FIRST_SAMPLES
 
 pytestmark = pytest.mark.quick
-
-LEARNT = (
-    *("filter.vector_bias=estimated", "filter.substeps=2", "gain.smoothing=0.3"),
-    *("gain.unknown=0.5", "filter.bias_wait=3.0", "filter.length_growth=0.1"),
-)
-N = 40
-START = {"rotation": np.diag([1.0, -1.0, -1.0]), "position": np.array([0.5, -1.0, 2.0])}
-
-
-def stream(result: posegsa.Result, seed: int = 0) -> tuple[np.ndarray, dict[str, Any], dict]:
-    """Time steps (N,), samples by argument of `update`, and references; a third is missing.
-
-    No velocity is missing, because `Measurements` does not allow this.
-    """
-    rng, scenario = np.random.default_rng(seed), result.experiment.scenario
-    references = {
-        "vector_references": np.array([v.direction for v in scenario.vectors]),
-        "landmark_references": np.array([p.position for p in scenario.landmarks]),
-    }
-    vectors, landmarks = (
-        known + 0.3 * rng.normal(size=(N, *known.shape)) for known in references.values()
-    )
-    vectors[rng.uniform(size=vectors.shape[:2]) < 0.3] = np.nan
-    vectors[3, 1, 2] = np.nan  # partly missing
-    landmarks[rng.uniform(size=landmarks.shape[:2]) < 0.3] = np.nan
-    omega, v = rng.normal(size=(2, N, 3))
-    samples = {"angular_velocity": omega, "velocity": v, "vectors": vectors, "landmarks": landmarks}
-    return rng.uniform(0.005, 0.03, N), samples, references
-
-
-def fed(pose_filter: posegsa.PoseFilter, steps: np.ndarray, samples: dict, span=None) -> list:
-    """The pose after each of these samples."""
-    chosen = range(*(span or slice(None)).indices(N))
-    return [
-        pose_filter.update(time_step=steps[k], **{name: a[k] for name, a in samples.items()})
-        for k in chosen
-    ]
 
 
 @pytest.fixture(scope="module")
 def result() -> posegsa.Result:
-    """A filter in float64 that estimates the vectors' biases."""
-    return tuned(K, *LEARNT, dtype="float64")
+    return learning_filter()
 
 
 @pytest.fixture
 def pose_filter(result) -> posegsa.PoseFilter:
     return posegsa.PoseFilter(result, **START)
-
-
-def at_once(steps, samples, references, dtype) -> posegsa.Measurements:
-    return posegsa.Measurements.from_arrays(time_step=steps, **samples, **references, dtype=dtype)
 
 
 # Results ------------------------------------------------------------------------------------------
@@ -98,7 +53,7 @@ def test_it_gives_what_a_whole_sequence_gives_at_once(result, pose_filter):
 
 def test_in_float32_it_gives_the_same_to_its_rounding(result, pose_filter):
     steps, samples, _ = stream(result)
-    single = posegsa.PoseFilter(tuned(K, *LEARNT), **START)
+    single = posegsa.PoseFilter(learning_filter("float32"), **START)
     for mine, expected in zip(
         *(fed(f, steps, samples) for f in (single, pose_filter)), strict=True
     ):
@@ -299,113 +254,6 @@ def test_a_sensor_without_weight_fixes_nothing(result):
         vector_weights=1.0,  # instead, the reason is this sample
     )
     assert pose_filter.observable
-
-
-# A start from the sensors -------------------------------------------------------------------------
-
-
-def unseen_before(samples: dict, sample: int) -> dict:
-    """The same samples, but for the landmarks before one and an exact pose at it."""
-    landmarks = np.where(np.arange(N)[:, None, None] < sample, np.nan, samples["landmarks"])
-    return samples | {"landmarks": landmarks}
-
-
-def test_without_a_pose_it_starts_at_the_first_sample_that_shows_one(result):
-    """As `first_pose` finds it, and from there on as a filter that is given this pose."""
-    steps, samples, references = stream(result)
-    samples = unseen_before(samples, 4)
-    with jax.enable_x64(True):
-        found = first_pose(at_once(steps, samples, references, "float64"))
-    begin = int(found.sample)
-    assert begin >= 4
-    one = posegsa.PoseFilter(result)
-    for pose in fed(one, steps, samples, slice(begin)):
-        assert np.isnan(pose.rotation).all()
-        assert np.isnan(pose.position).all()
-    assert one.waiting
-    assert one.time == pytest.approx(steps[:begin].sum())
-    other = posegsa.PoseFilter(result, rotation=found.rotation, position=found.position)
-    rest = slice(begin, N)
-    expected = fed(other, steps, samples, rest)
-    for got, want in zip(fed(one, steps, samples, rest), expected, strict=True):
-        np.testing.assert_allclose(got.rotation, want.rotation, atol=1e-12)
-        np.testing.assert_allclose(got.position, want.position, atol=1e-12)
-    assert not one.waiting
-    one.reset()
-    assert one.waiting
-
-
-def test_a_waiting_filter_is_kept_and_resumed(result):
-    steps, samples, _ = stream(result)
-    samples = unseen_before(samples, 12)
-    one, other = posegsa.PoseFilter(result), posegsa.PoseFilter(result)
-    fed(one, steps, samples, slice(6))
-    assert one.waiting
-    other.restore(one.checkpoint())
-    assert other.waiting
-    for each in (one, other):
-        fed(each, steps, samples, slice(6, N))
-        assert not each.waiting
-    np.testing.assert_array_equal(one.pose.position, other.pose.position)
-    one.reset()
-    fed(one, steps, samples, slice(6))
-    with pytest.raises(ArgumentError, match="record holds NaN"):  # it does not wait
-        posegsa.PoseFilter(result, **START).restore(one.checkpoint())
-
-
-def test_while_it_waits_it_says_so(result):
-    one = posegsa.PoseFilter(result)
-    assert "waiting" in repr(one)
-    assert not one.observable
-    assert one.why_unobservable.startswith("waiting: no sample has shown a pose")
-    assert "waiting" not in repr(posegsa.PoseFilter(result, **START))
-
-
-def test_the_bias_of_the_start_is_kept(result):
-    """Neither a change of the caller's array nor another filter's bias gets in."""
-    steps, samples, _ = stream(result)
-    bias = np.full(6, 0.5)
-    one, other = posegsa.PoseFilter(result, bias=bias), posegsa.PoseFilter(result)
-    bias[:] = 9.0
-    other.restore(one.checkpoint())
-    for each in (one, other):
-        fed(each, steps, samples)
-    np.testing.assert_array_equal(one.bias, other.bias)
-    plain = posegsa.PoseFilter(result)
-    fed(plain, steps, samples)
-    assert np.abs(one.bias - plain.bias).max() > 0.1
-
-
-def test_a_sensor_without_weight_does_not_decide_the_start(result, x64):
-    """In the observer's settings, or as a factor."""
-    filter = result.filter_for(2, 1)
-    none = tuple(jnp.asarray(weight) for weight in (1.0, 0.0))
-    vectors = dataclasses.replace(filter.settings.vectors, weights=none)
-    settings = dataclasses.replace(filter.settings, vectors=vectors)
-    _, _, references = stream(result)
-    with pytest.raises(ArgumentError, match="never show a pose"):
-        posegsa.PoseFilter(dataclasses.replace(filter, settings=settings), **references)
-    with pytest.raises(ArgumentError, match="never show a pose"):
-        posegsa.PoseFilter(result, vector_weights=[1.0, 0.0])
-
-
-def test_at_the_first_sample_only_a_start_is_restored(result):
-    one = posegsa.PoseFilter(result)
-    one.reset(START["rotation"], START["position"])
-    wrong = one.checkpoint()
-    wrong["record"][:] = np.inf
-    with pytest.raises(ArgumentError, match="record holds NaN or infinity"):
-        posegsa.PoseFilter(result).restore(wrong)
-
-
-def test_sensors_that_never_show_a_pose_are_refused(result):
-    """One vector and one landmark in a sample: the heading about the vector stays open."""
-    with pytest.raises(ArgumentError, match="1 vector and 1 landmark never show a pose"):
-        posegsa.PoseFilter(
-            posegsa.KalmanFilter(posegsa.KalmanNoise(*jnp.full(12, 0.1))),
-            vector_references=[[0, 0, 1]],
-            landmark_references=[[1, 2, 3]],
-        )
 
 
 # Checkpoints --------------------------------------------------------------------------------------
@@ -634,108 +482,3 @@ def test_an_invalid_estimate_is_refused(factor, message):
     with pytest.raises(MeasurementError, match=message):
         pose_filter.update(time_step=0.01, angular_velocity=np.ones(3), velocity=np.ones(3))
     np.testing.assert_array_equal(pose_filter.pose.rotation, START["rotation"])
-
-
-# The attitude filter for inertial sensors ---------------------------------------------------------
-
-
-def test_the_attitude_filter_runs_live_as_it_replays() -> None:
-    """Without a start; missing values are None; it pickles and continues from a checkpoint."""
-    given = inertial_motion(2.0, 4.0, noise=0.3, shaking=2.0)
-    given["mag"][np.arange(len(given["mag"])) % 3 != 0] = np.nan
-    given["mag"][300:320] = np.nan
-    recording = posegsa.imu(**given)
-    replayed = posegsa.replay("imu", recording)[0].estimates
-    live, m = posegsa.PoseFilter("imu"), recording.measurements
-    for k in range(recording.samples - 1):
-        if k == 250:
-            checkpoint = live.checkpoint()
-            live = pickle.loads(pickle.dumps(live))
-            again = posegsa.PoseFilter("imu")
-            again.restore(checkpoint)
-        field = None if np.isnan(given["mag"][k]).any() else given["mag"][k]
-        sample = {"time_step": m.time_step[k], "gyr": given["gyr"][k], "acc": given["acc"][k]}
-        pose = live.update(**sample, mag=field)
-        if k >= 250:
-            np.testing.assert_array_equal(again.update(**sample, mag=field).rotation, pose.rotation)
-        np.testing.assert_allclose(pose.rotation, replayed.rotation[k + 1], atol=1e-12)
-        np.testing.assert_allclose(live.bias, replayed.bias[k + 1], atol=1e-12)
-        assert bool(live.own_state.at_rest) or k != 185
-    assert not bool(live.own_state.at_rest)
-    assert 0.5 < live.own_state.field_belief <= 1
-    assert 0 < live.own_state.inclination_deviation < live.own_state.heading_deviation < 0.2
-    assert live.observable
-    np.testing.assert_array_equal(live.pose.position, 0.0)
-
-
-def fed_the_same(live: posegsa.PoseFilter, times: int, **sample: Any) -> None:
-    for _ in range(times):
-        live.update(**sample)
-
-
-def test_a_time_step_in_milliseconds_is_said_once(pose_filter) -> None:
-    live = posegsa.PoseFilter("imu")
-    sample = {"gyr": np.zeros(3), "acc": [0, 0, 9.8]}
-    fed_the_same(live, FIRST_SAMPLES - 1, time_step=10.0, **sample)
-    with pytest.warns(
-        PosegsaWarning, match="time_step: .*over 0.25 s .median 10 s.*a pause.*seconds"
-    ):
-        live.update(time_step=10.0, **sample)
-    fed_the_same(live, FIRST_SAMPLES, time_step=10.0, **sample)
-    # A pause among the first samples is none.
-    live = posegsa.PoseFilter("imu")
-    for k in range(FIRST_SAMPLES + 1):
-        live.update(time_step=0.01 if k == 3 else 10.0, **sample)
-    still = {"angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
-    with pytest.warns(PosegsaWarning, match="time_step: .*over 1 s.*in seconds") as said:
-        fed_the_same(pose_filter, FIRST_SAMPLES, time_step=10.0, **still)
-    assert len(said) == 1
-
-
-def test_an_acceleration_in_multiples_of_g_is_said_once() -> None:
-    live, sample = posegsa.PoseFilter("imu"), {"time_step": 0.01, "gyr": np.zeros(3)}
-    fed_the_same(live, FIRST_SAMPLES - 1, **sample, acc=[0, 0, 0.98])
-    fed_the_same(live, FIRST_SAMPLES, **sample)  # a slower accelerometer
-    with pytest.warns(PosegsaWarning, match="acc: .*first 50.*median 0.98.*m/s") as said:
-        fed_the_same(live, 2 * FIRST_SAMPLES, **sample, acc=[0, 0, 0.98])
-    assert len(said) == 1
-    live = posegsa.PoseFilter("imu")
-    for k in range(FIRST_SAMPLES + 1):  # one that is dropped, or hit, at first
-        live.update(**sample, acc=[0, 0, 9.8 if k > 40 else 0.5])
-
-
-def test_names_of_inertial_sensors_are_only_of_the_attitude_filter(result) -> None:
-    live = posegsa.PoseFilter("imu")
-    still = {"time_step": 0.01, "gyr": [0, 0, 0], "acc": [0, 0, 9.81]}
-    with pytest.raises(ArgumentError, match="gyr with angular_velocity; allowed: one of"):
-        live.update(**still, angular_velocity=[0, 0, 0])
-    with pytest.raises(ArgumentError, match="acc, mag; allowed: without vectors"):
-        live.update(**still, vectors=[None, None])
-    with pytest.raises(ArgumentError, match=r"acc, mag; allowed: .*only for the attitude filter"):
-        posegsa.PoseFilter(result, **START).update(**still)
-    with pytest.raises(MeasurementError, match="angular_velocity: missing"):
-        live.update(time_step=0.01, acc=[0, 0, 9.81])
-    with pytest.raises(MeasurementError, match=r"mag: must have the shape \(3\)"):
-        live.update(**still, mag=[1.0, 2.0])
-    with pytest.raises(MeasurementError, match=r"acc = 1e\+09; allowed"):
-        live.update(**still | {"acc": [0, 0, 1e9]})
-
-
-def test_the_attitude_filter_needs_two_references_that_are_not_parallel() -> None:
-    with pytest.raises(ArgumentError, match="vector_references: are parallel"):
-        posegsa.PoseFilter("imu", vector_references=[[0, 0, 9.81], [0, 0, -1]])
-
-
-def test_after_a_pause_an_attitude_stream_states_that_it_knows_nothing() -> None:
-    stream = posegsa.PoseFilter("imu")
-    seen = {"gyr": np.zeros(3), "acc": [0.0, 0.0, 9.81], "mag": [0.0, 20.0, -40.0]}
-    for _ in range(2000):
-        stream.update(time_step=0.01, **seen)
-    known = stream.own_state
-    assert known.heading_deviation < 0.1
-    assert known.heading_deviation.dtype == known.inclination_deviation.dtype == np.float64
-    stream.update(time_step=10.0, **seen)
-    unknown = stream.own_state
-    assert unknown.heading_deviation == pytest.approx(1.0)
-    assert unknown.inclination_deviation == pytest.approx(0.35 * np.sqrt(2))
-    assert unknown.velocity == (0, 0)
