@@ -65,6 +65,9 @@ HELD_OUT_SEED = 5
 """A different held-out set: `tune` prints costs on the first scenarios of the experiment's set, so
 they were seen during development; set 4 was judged before the defaults changed."""
 SEEDED = ("observer", "paper", "paper_literal")
+SEEDED_TABLE = "seeded"
+"""Name of the last table in what is stored, and for --only."""
+PARTS = (*JUDGED, *ENDURANCE_ONLY, SEEDED_TABLE)
 KALMAN_SEARCHES = {"CHECK_INTERVAL": 500, "MIN_IMPROVEMENT": 0.005, "MAX_EVALUATIONS": 8500}
 """The Kalman baselines are searched for longer than `posegsa evaluate` does: until 500 evaluations
 improve the cost by less than 0.5 %, at most nearly as long as the tuned filter."""
@@ -186,7 +189,7 @@ def overview(kept: dict[str, dict[str, Any]]) -> str:
 
 
 def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
-    """The first three tables, from the stored results."""
+    """All tables but the first, from the stored results."""
     found = {name: kept[f"{name} 0"] for name in JUDGED if f"{name} 0" in kept}
     lines = [
         "| scenarios | filter | evaluations | held-out cost, mean ± 95 % | median | 99 % | worst "
@@ -228,6 +231,8 @@ def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
     for each in [*found.values(), *(kept[n] for n in ENDURANCE_ONLY if n in kept)]:
         lines += each["endurance"]
     lines += ["", POSITION]
+    if SEEDED_TABLE in kept:
+        lines += ["", kept[SEEDED_TABLE]["table"]]
     return "\n".join(lines)
 
 
@@ -270,7 +275,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Tables of the results of tuning.")
     parser.add_argument("--scenarios", type=int, default=1000, help="held-out scenarios")
     parser.add_argument("--seeds", type=int, default=3, help="searches of each configuration")
-    parser.add_argument("--only", choices=JUDGED, help="judge one kind of scenario")
+    parser.add_argument("--only", choices=PARTS, help="compute one part")
     parser.add_argument("--seed", type=int, help="with --only: for one seed of the search")
     parser.add_argument("--again", action="store_true", help="judge stored results again")
     parser.add_argument("--write", action="store_true", help="write the tables into their pages")
@@ -287,23 +292,20 @@ def main() -> None:
         kept[name] = what
         KEPT.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
-    for name in [options.only] if options.only else JUDGED:
-        seeds = range(options.seeds if name == OVER_SEEDS else 1)
-        for seed in seeds if options.seed is None else [options.seed]:
-            entry = f"{name} {seed}"
-            if options.again or kept.get(entry, {}).get("scenarios") != options.scenarios:
-                keep(entry, judged(JUDGED[name], options.scenarios, seed))
-    if not options.only:
-        for name, case in ENDURANCE_ONLY.items():
+    for name in [options.only] if options.only else PARTS:
+        if name in JUDGED:
+            seeds = range(options.seeds if name == OVER_SEEDS else 1)
+            for seed in seeds if options.seed is None else [options.seed]:
+                entry = f"{name} {seed}"
+                if options.again or kept.get(entry, {}).get("scenarios") != options.scenarios:
+                    keep(entry, judged(JUDGED[name], options.scenarios, seed))
+        elif name in ENDURANCE_ONLY:
             if options.again or name not in kept:
+                case = ENDURANCE_ONLY[name]
                 keep(name, {"endurance": endurance_rows(case, posegsa.tune(experiment_of(case)))})
-    command = f"`python benchmarks/results.py --scenarios {options.scenarios} --seeds"
-    command += f" {options.seeds} --write`"
+        elif options.again or kept.get(name, {}).get("seeds") != options.seeds:
+            keep(name, {"seeds": options.seeds, "table": seeded(options.seeds)})
     text = tables(kept, options.seeds)
-    if not options.only:
-        if options.again or kept.get("seeded", {}).get("seeds") != options.seeds:
-            keep("seeded", {"seeds": options.seeds, "table": seeded(options.seeds)})
-        text += f"\n\n{kept['seeded']['table']} All tables: {command}."
     print(text)
     if options.write:
         write_block("overview", overview(kept), "docs/results.md")
