@@ -236,8 +236,9 @@ class Experiment(Section):
 
     def _conflicts_of_bounds(self) -> Iterator[Violation]:
         """Conflicts that arise if all further tuned numbers are at their lower or upper bounds."""
-        for name in ("lower", "upper") if self.also else ():
-            values = {one.key: getattr(one, name) for one in self.also}
+        also = self.also
+        for name in ("lower", "upper") if also else ():
+            values = {one.key: getattr(one, name) for one in also}
             data = with_numbers(self.model_dump(mode="json"), values)
             data["parameters"]["also"], data["tuned"] = [], {}
             try:
@@ -247,7 +248,7 @@ class Experiment(Section):
                     reason = f"with all these numbers at their {name} bounds: {violation}"
                     yield Violation("parameters.also", reason)
 
-    def _conflicts_of_numbers(self) -> Iterator[Violation]:
+    def _conflicts_of_numbers(self, places: Places) -> Iterator[Violation]:
         """Numbers of a schedule that are not those of the filter's schedule."""
         given, kinds, words = len(self.tuned.numbers), [], ""
         if isinstance(self.filter, ObserverConfig):
@@ -262,7 +263,6 @@ class Experiment(Section):
         if given and given != needed:
             allowed = f"{needed} {words}, or none" if needed else "none"
             yield Violation("tuned.numbers", f"allowed: {allowed}", given)
-        places = self._places()
         for key, value in self.tuned.also.items():
             if key not in places:
                 reason = f"has no effect here; allowed: {', '.join(places)}"
@@ -308,8 +308,9 @@ class Experiment(Section):
             )
         weight = getattr(self.filter, "cross_vector_weight", 0.0) if crossed else 0.0
         yield from (v.under(("scenario",)) for v in self.scenario.observability_conflicts(weight))
-        yield from also_conflicts(self._places(), self.parameters.also, needless=_BY_DEFAULT)
-        yield from self._conflicts_of_numbers()
+        places = self._places()
+        yield from also_conflicts(places, self.parameters.also, needless=_BY_DEFAULT)
+        yield from self._conflicts_of_numbers(places)
         if self.fuzzy.rules == SEARCHED and all(p.wants_gradients for p in self.search.phases):
             reason = (
                 f"allowed: a table, because search.optimiser = {self.search.optimiser!r} only "

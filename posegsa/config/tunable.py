@@ -1,7 +1,8 @@
 """Numbers other than k1..k22 that a search may tune: of filter, error signal and weights."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal, NamedTuple
+from functools import cache
+from typing import Any, Literal, NamedTuple, get_args
 
 from pydantic import ValidationError
 
@@ -66,13 +67,12 @@ def _places(value: Any, path: str) -> Iterator[tuple[str, _Place]]:
                 yield from _places(each, f"{path}.{i}")
     if not isinstance(value, Section):
         return
-    for name, field in type(value).model_fields.items():
+    for name, mark in _fields(type(value)):
         inner, key = getattr(value, name), f"{path}.{name}" if path else name
-        marks = [mark for mark in field.metadata if isinstance(mark, Tunable)]
-        if not marks:
+        if mark is None:
             if isinstance(inner, tuple | Section):
                 yield from _places(inner, key)
-        elif marks[0].has_effect(value):
+        elif mark.has_effect(value):
             if isinstance(inner, tuple):
                 for i in range(len(inner)):
                     yield f"{key}.{i}", _Place(value, name, i)
@@ -80,6 +80,27 @@ def _places(value: Any, path: str) -> Iterator[tuple[str, _Place]]:
                 yield key, _Place(value, name, None)
     for name in value.__pydantic_extra__ or {}:  # the numbers of a user's own filter
         yield f"{path}.{name}", _Place(value, name, None)
+
+
+@cache
+def _fields(kind: type[Section]) -> tuple[tuple[str, Tunable | None], ...]:
+    """The fields of a kind of section that are tunable, with their marks, or may hold such fields.
+
+    They are found once: an experiment is checked at each change, and most sections have none.
+    """
+    found = []
+    for name, field in kind.model_fields.items():
+        mark = next((one for one in field.metadata if isinstance(one, Tunable)), None)
+        if mark is not None or _may_hold_tunable(field.annotation):
+            found.append((name, mark))
+    return tuple(found)
+
+
+def _may_hold_tunable(annotation: Any) -> bool:
+    """Whether values of a type may have tunable numbers within."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return annotation.model_config.get("extra") == "allow" or bool(_fields(annotation))
+    return any(map(_may_hold_tunable, get_args(annotation)))
 
 
 def with_effect(
