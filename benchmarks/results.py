@@ -109,13 +109,19 @@ def evaluations(contender: Contender | None) -> str:
     return "-" if contender is None else str(contender.filter.evaluations)
 
 
-def behaviour(contender: Contender | None) -> str:
-    """Two cells of a table: errors, and the share of runs that diverged."""
+def named(name: str, contender: Contender | None) -> str:
+    """The name of a filter as a cell, with the share of runs that diverged, if any did."""
+    share = 0.0 if contender is None else float(np.mean(contender.metrics.diverged))
+    return f"{name} ({100 * share:.1f} % diverged)" if share else name
+
+
+def errors_of(contender: Contender | None) -> str:
+    """RMS errors as a cell."""
     if contender is None:
-        return "- | -"
+        return "-"
     m: Metrics = contender.metrics
     attitude, position = np.mean(m.rms_attitude), np.mean(m.rms_position)
-    return f"{attitude:.1f}° {100 * position:.1f} cm | {100 * np.mean(m.diverged):.1f} %"
+    return f"{attitude:.1f}° {100 * position:.1f} cm"
 
 
 def steps_in_c(result: Result, contenders: dict[str, Contender]) -> dict[str, str]:
@@ -156,10 +162,10 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
             d = evaluation.difference(name)
             versus = differences[name] = f"{d.mean:+.2f} [{d.low:+.2f}, {d.high:+.2f}]"
         rows.append(
-            f"| {case.title} | {name} | {evaluations(contender)} "
+            f"| {named(name, contender)} | {evaluations(contender)} "
             f"| {cost.mean:.2f} ± {0.5 * (cost.high - cost.low):.2f} "
             f"| {np.median(costs):.1f} | {np.quantile(costs, 0.99):.0f} | {np.max(costs):.0f} "
-            f"| {versus} | {behaviour(contender)} | {steps.get(name, '-')} |"
+            f"| {versus} | {errors_of(contender)} | {steps.get(name, '-')} |"
         )
     trained = float(np.mean(on.training[TUNED]))
     return {
@@ -171,8 +177,8 @@ def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
         "differences": differences,
         "endurance": endurance_rows(case, result),
         "note": (
-            f"{case.title}: training cost {trained:.2f}, {on.trust.used_rules} of 25 rules carry "
-            "1 % of the weight"
+            f"Training cost {trained:.2f}; {on.trust.used_rules} of 25 rules carry 1 % of the "
+            "weight."
         ),
     }
 
@@ -191,25 +197,24 @@ def overview(kept: dict[str, dict[str, Any]]) -> str:
 def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
     """All tables but the first, from the stored results."""
     found = {name: kept[f"{name} 0"] for name in JUDGED if f"{name} 0" in kept}
-    lines = [
-        "| scenarios | filter | evaluations | held-out cost, mean ± 95 % | median | 99 % | worst "
-        "| tuned minus this [95 %] | RMS error from 4 s on | diverged | a step in C, state |",
-        f"| --- | --- |{' --: |' * 5} --- | --- | --: | --: |",
-    ]
-    for each in found.values():
-        lines += each["rows"]
-    lines += [
-        "",
-        f"{'; '.join(each['note'] for each in found.values())}. "
-        f"{next(iter(found.values()))['scenarios']} held-out scenarios each (set "
-        f"{HELD_OUT_SEED}), search with seed 0. {POSITION}",
-    ]
+    scenarios = next(iter(found.values()))["scenarios"]
+    lines = [f"{scenarios} held-out scenarios each (set {HELD_OUT_SEED}), search with seed 0."]
+    lines += [f"{POSITION} None of these filters diverged, where nothing else is said."]
+    for name, each in found.items():
+        lines += [
+            *("", f"### {JUDGED[name].title[0].upper()}{JUDGED[name].title[1:]}", ""),
+            "| filter | evaluations | held-out cost, mean ± 95 % | median | 99 % | worst "
+            "| tuned minus this [95 %] | RMS error from 4 s on | a step in C, state |",
+            f"| --- |{' --: |' * 5} --- | --- | --: |",
+            *each["rows"],
+            *("", each["note"]),
+        ]
     of_seeds = [kept.get(f"{OVER_SEEDS} {seed}") for seed in range(seeds)]
     there = [each for each in of_seeds if each is not None]
     if len(there) == seeds > 1:
         heads = " | ".join(f"seed {seed}" for seed in range(seeds))
         lines += [
-            "",
+            *("", "### Seeds of the search", ""),
             f"| {JUDGED[OVER_SEEDS].title}: tuned minus this [95 %] | {heads} |",
             f"| --- |{' --- |' * seeds}",
             f"| ({TUNED}: mean) | "
@@ -224,15 +229,14 @@ def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
             )
             lines.append(f"| {name} | {cells} |")
     lines += [
-        "",
+        *("", "### Much longer than the scenarios for tuning", ""),
         "| tuned for | time | tuned filter | best constant gains |",
         "| --- | --- | --- | --- |",
     ]
     for each in [*found.values(), *(kept[n] for n in ENDURANCE_ONLY if n in kept)]:
         lines += each["endurance"]
-    lines += ["", POSITION]
     if SEEDED_TABLE in kept:
-        lines += ["", kept[SEEDED_TABLE]["table"]]
+        lines += ["", "### Configurations over seeds", "", kept[SEEDED_TABLE]["table"]]
     return "\n".join(lines)
 
 
