@@ -272,7 +272,11 @@ def seeded(seeds: int) -> str:
                 f"| {name} | {label} | {spread(list(training))} | {spread(list(held_out))} "
                 f"| {max(worst):.4g} |"
             )
-    return "\n".join([*lines, "", f"Median (minimum to maximum) over {seeds} seeds."])
+    about = (
+        f"Median (minimum to maximum) over {seeds} seeds, each with training scenarios of its own."
+    )
+    about += " The held-out scenarios are the few that `posegsa tune` judges on."
+    return "\n".join([*lines, "", about])
 
 
 def main() -> None:
