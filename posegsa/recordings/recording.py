@@ -631,9 +631,8 @@ class Recording:
             return self.start
         self.check_seen()
         rest = self.start == "rest"
-        samples = (
-            self._rest() if rest else slice(0, max(1, int(np.sum(self.time < AVERAGING_TIME))))
-        )
+        first = max(1, int(np.sum(self.time < AVERAGING_TIME)))
+        samples = self._rest() if rest else slice(0, first)
         return aligned(self.measurements, samples, None if rest else self.start_bias)
 
     def window(self, begin: float = 0.0, end: float = math.inf) -> "Recording":

@@ -1,7 +1,7 @@
 """Relations between the quantities of a recording, and their misfits.
 
-The motion of the body relates its sensors to each other. Over an interval of INTERVAL the gyroscope
-gives a turn dR and the velocity a displacement dP in the body frame of its beginning, and
+The motion of the body relates its sensors to each other. Over an interval of INTERVAL_TIME the
+gyroscope gives a turn dR and the velocity a displacement dP in the body frame of its beginning, and
 
     turn and truth       R1 = R0 dR                      vector and turn     b1 = dR^T b0
     velocity and truth   P1 = P0 + R0 dP                 landmark and motion y1 = dR^T (y0 - dP)
@@ -39,7 +39,7 @@ from posegsa.recordings.inertial_frame import turned
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import inverse, log, matrices, product, quaternions
 
-INTERVAL = 0.5
+INTERVAL_TIME = 0.5
 """Length of an interval [s]."""
 MIN_TIME_STEP = 0.008
 """Shortest time step that is used [s]; a faster recording is averaged."""
@@ -256,15 +256,15 @@ def _moved(q: Quantities) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _intervals(q: Quantities, there: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """First and last samples of intervals of about INTERVAL, among the measured ones (K,)."""
+    """First and last samples of intervals of about INTERVAL_TIME, among the measured ones (K,)."""
     at = np.flatnonzero(there)
     if len(at) < MIN_INTERVALS:
         return None
     time = q.time[at]
-    last = np.searchsorted(time, time + INTERVAL * 0.999)
+    last = np.searchsorted(time, time + INTERVAL_TIME * 0.999)
     inside = last < len(at)
     first, last = np.flatnonzero(inside), last[inside]
-    near = time[last] - time[first] < 1.5 * INTERVAL + 2 * np.median(np.diff(q.time))
+    near = time[last] - time[first] < 1.5 * INTERVAL_TIME + 2 * np.median(np.diff(q.time))
     first, last = at[first[near]], at[last[near]]
     return (first, last) if len(first) >= MIN_INTERVALS else None
 

@@ -15,6 +15,7 @@ from helpers.streams import START, N, at_once, fed, learning_filter, stream
 import posegsa
 from posegsa.errors import ArgumentError, MeasurementError, PosegsaWarning
 from posegsa.model.schedules import SwitchGain
+from posegsa.streaming import FIRST_SAMPLES
 
 pytestmark = pytest.mark.quick
 
@@ -482,3 +483,18 @@ def test_an_invalid_estimate_is_refused(factor, message):
     with pytest.raises(MeasurementError, match=message):
         pose_filter.update(time_step=0.01, angular_velocity=np.ones(3), velocity=np.ones(3))
     np.testing.assert_array_equal(pose_filter.pose.rotation, START["rotation"])
+
+
+def test_a_time_step_in_milliseconds_is_said_once(pose_filter):
+    still = {"angular_velocity": np.zeros(3), "velocity": np.zeros(3)}
+    for _ in range(FIRST_SAMPLES - 1):
+        pose_filter.update(time_step=10.0, **still)
+    with pytest.warns(PosegsaWarning, match="time_step: .*over 1 s.*in seconds") as said:
+        pose_filter.update(time_step=10.0, **still)
+    pose_filter.update(time_step=10.0, **still)
+    assert len(said) == 1
+
+
+def test_names_of_inertial_sensors_are_only_of_the_attitude_filter(pose_filter):
+    with pytest.raises(ArgumentError, match=r"acc, mag; allowed: .*only for the attitude filter"):
+        pose_filter.update(time_step=0.01, gyr=[0, 0, 0], acc=[0, 0, 9.81])
