@@ -228,6 +228,9 @@ def agent_costs(
 
             return jax.vmap(agent)(some)
 
+        if cut.scenarios == 1:
+            # The same without `vmap`, which would trace all operations of the filter once more.
+            return on_scenario(*jax.tree.map(lambda leaf: leaf[0], each))[None]
         return jax.vmap(on_scenario)(*each)
 
     mine = jnp.arange(cut.groups * cut.chunks // shards)
