@@ -278,35 +278,52 @@ def _median_length(a: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(a, axis=-1)))
 
 
-def _between(q: Quantities, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Turns (n, 4) and displacements (n, 3) of intervals, body frame of their first samples."""
-    turns, moved = _motion(q)
-    turn = product(inverse(turns[first]), turns[last])
-    back = matrices(turns[first])
-    return turn, np.einsum("kji,kj->ki", back, moved[last] - moved[first])
+class Change(NamedTuple):
+    """How the pose changes in n intervals by the velocities, in the frames of their beginnings."""
+
+    first: np.ndarray
+    """(n,) samples."""
+    last: np.ndarray
+    """(n,) samples."""
+    turn: np.ndarray
+    """(n, 4)."""
+    rotation: np.ndarray
+    """(n, 3, 3), of the turn."""
+    moved: np.ndarray
+    """(n, 3) [m]."""
+    angle: float
+    """Median of the turns [rad]."""
 
 
-def _true_turns(q: Quantities, there: np.ndarray) -> np.ndarray:
-    assert q.rotation is not None
-    found = np.full((len(q.time), 4), np.nan)
-    found[there] = quaternions(q.rotation[there])
-    return found
+def _change(q: Quantities, there: np.ndarray) -> Change | None:
+    """The change in intervals between measured samples (K,); None if they are too few."""
+    # Most sensors measure at the same samples, and most hypotheses change no velocity.
+    what = f"change {there.tobytes()}"
+    return q.once(what, (q.time, q.gyroscope, q.velocity), lambda: _computed_change(q, there))
 
 
-def _turn_and_truth(q: Quantities) -> float | None:
-    assert q.rotation is not None
-    there = _finite(q.rotation)
+def _computed_change(q: Quantities, there: np.ndarray) -> Change | None:
     found = _intervals(q, there)
     if found is None:
         return None
     first, last = found
-    true = _true_turns(q, there)
-    true = product(inverse(true[first]), true[last])
+    turns, moved = _motion(q)
+    turn = product(inverse(turns[first]), turns[last])
+    displaced = np.einsum("kji,kj->ki", matrices(turns[first]), moved[last] - moved[first])
+    return Change(first, last, turn, matrices(turn), displaced, _median_length(log(turn)))
+
+
+def _turn_and_truth(q: Quantities) -> float | None:
+    assert q.rotation is not None
+    change = _change(q, _finite(q.rotation))
+    if change is None:
+        return None
+    before, after = quaternions(q.rotation[change.first]), quaternions(q.rotation[change.last])
+    true = product(inverse(before), after)
     size = _median_length(log(true))
     if size < MIN_TURN:
         return None
-    turn, _ = _between(q, first, last)
-    off = log(product(inverse(true), turn))
+    off = log(product(inverse(true), change.turn))
     return _median_length(off - np.median(off, axis=0)) / size
 
 
@@ -489,15 +506,11 @@ def _vector_and_turn(q: Quantities, vector: Vector) -> float | None:
 
 
 def _direction_and_turn(q: Quantities, body: np.ndarray) -> float | None:
-    found = _intervals(q, _finite(body))
-    if found is None:
+    change = _change(q, _finite(body))
+    if change is None or change.angle < MIN_TURN:
         return None
-    first, last = found
-    turn, _ = _between(q, first, last)
-    if _median_length(log(turn)) < MIN_TURN:
-        return None
-    before, after = body[first], body[last]
-    off = after - np.einsum("kji,kj->ki", matrices(turn), before)
+    before, after = body[change.first], body[change.last]
+    off = after - np.einsum("kji,kj->ki", change.rotation, before)
     return _median_length(off) / max(_median_length(before), 1e-12)
 
 
@@ -514,13 +527,12 @@ def _landmark_and_truth(q: Quantities, j: int) -> float | None:
 
 def _landmark_and_motion(q: Quantities, j: int) -> float | None:
     y = q.landmarks[j]
-    found = _intervals(q, _finite(y))
-    if found is None:
+    change = _change(q, _finite(y))
+    if change is None:
         return None
-    first, last = found
-    turn, moved = _between(q, first, last)
-    off = y[last] - np.einsum("kji,kj->ki", matrices(turn), y[first] - moved)
-    return _median_length(off) / max(_median_length(y[first]), 1e-12)
+    before, after = y[change.first], y[change.last]
+    off = after - np.einsum("kji,kj->ki", change.rotation, before - change.moved)
+    return _median_length(off) / max(_median_length(before), 1e-12)
 
 
 def _two_landmarks(q: Quantities, i: int, j: int) -> float | None:
