@@ -215,6 +215,7 @@ def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
         heads = " | ".join(f"seed {seed}" for seed in range(seeds))
         lines += [
             *("", "### Seeds of the search", ""),
+            *("Each seed has training and held-out scenarios of its own.", ""),
             f"| {JUDGED[OVER_SEEDS].title}: tuned minus this [95 %] | {heads} |",
             f"| --- |{' --- |' * seeds}",
             f"| ({TUNED}: mean) | "
