@@ -229,6 +229,8 @@ def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
                 for each in there
             )
             lines.append(f"| {name} | {cells} |")
+        for seed, each in enumerate(there):
+            lines += ["", f"Seed {seed}: {each['note'][0].lower()}{each['note'][1:]}"]
     lines += [
         *("", "### Much longer than the scenarios for tuning", ""),
         "| tuned for | time | tuned filter | best constant gains |",

@@ -32,7 +32,7 @@ WIDTH = 6.5
 """Width of a figure [in]: a page with one column, or both columns of two."""
 START = EARLY
 """Duration of the start of a run that figures show enlarged [s]."""
-LOG_RATIO = 30.0
+LOG_RATIO = 10.0
 """Costs that differ by more than this factor are drawn on a logarithmic axis."""
 ATTITUDE_ERROR, POSITION_ERROR = "Attitude error [deg]", "Position error [m]"
 

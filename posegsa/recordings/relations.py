@@ -26,7 +26,7 @@ out of it. If the body hardly turns or moves, a relation says nothing and is lef
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -120,7 +120,7 @@ class Quantities:
         """The quantities with some of them replaced."""
         return replace(self, **changes)
 
-    def once(self, what: str, of: tuple[Any, ...], compute: Callable[[], Any]) -> Any:
+    def once(self, what: Hashable, of: tuple[Any, ...], compute: Callable[[], Any]) -> Any:
         """A result computed from some arrays, from the cache if none of them has been replaced."""
         key = what, *map(id, of)
         if key not in self.known:
@@ -298,7 +298,7 @@ class Change(NamedTuple):
 def _change(q: Quantities, there: np.ndarray) -> Change | None:
     """The change in intervals between measured samples (K,); None if they are too few."""
     # Most sensors measure at the same samples, and most hypotheses change no velocity.
-    what = f"change {there.tobytes()}"
+    what = "change", there.tobytes()
     return q.once(what, (q.time, q.gyroscope, q.velocity), lambda: _computed_change(q, there))
 
 
