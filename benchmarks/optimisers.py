@@ -179,7 +179,7 @@ def scenarios_table(path: Path) -> str:
 def speed(options: argparse.Namespace) -> None:
     """Time of each optimiser's own step: 100 agents, 22 dimensions, the sum as objective."""
     seconds = {}
-    for name in (*FILTER[:-1], "pycma"):
+    for name in FILTER[:-1]:
         optimiser = specify(config.Experiment(), name, 2000 if options.quick else 25000)
         seconds[name] = step_seconds(optimiser)
         print(f"{name:<24}{1e6 * seconds[name]:10.1f} us an iteration")
@@ -238,7 +238,7 @@ def speed_table(path: Path) -> str:
             *lines,
             "",
             "100 agents (adam: 8 starts, gradients by reverse mode), 22 dimensions, an objective "
-            "that only adds up; pycma runs on the host. The least of ten searches, by iteration. "
+            "that only adds up. The least of ten searches, by iteration. "
             f"{machine['device']}, jax {machine['jax']}.",
         ]
     )

@@ -18,7 +18,6 @@ from posegsa.judging.comparison import DIGITS, Gradients, OptimiserComparison, R
 from posegsa.judging.description import check_kind, kind_of, title_of
 from posegsa.optimisers import OPTIMISERS, Optimiser, runner, start
 from posegsa.optimisers.functions import ClassicalFunction
-from posegsa.optimisers.registry import USUAL
 from posegsa.progress import shown
 from posegsa.runtime import environment
 from posegsa.saving.comparison_files import continued, write_comparison, write_searches
@@ -83,7 +82,7 @@ def _function(function: ClassicalFunction) -> Subject:
 def compare(
     experiment: config.Experiment | str | Path | None = None,
     *,
-    optimisers: Iterable[str] = USUAL,
+    optimisers: Iterable[str] = tuple(OPTIMISERS),
     repeats: int = REPEATS,
     evaluations: int = EVALUATIONS,
     function: ClassicalFunction | None = None,

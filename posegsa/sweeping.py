@@ -28,7 +28,6 @@ from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.run_search import (
     Found,
     Progress,
-    run_search,
     samples_per_iteration,
     search_batch,
     structure,
@@ -212,8 +211,7 @@ def _batches(planned: list[_Planned], together: int) -> Iterator[list[_Planned]]
             fit[structures[key]] = most
         groups.setdefault(structures[key], []).append(one)
     for kind, group in groups.items():
-        most = 1 if group[0].experiment.search.on_host else _within_memory(group, together)
-        most = min(most, fit[kind])
+        most = min(_within_memory(group, together), fit[kind])
         batches = -(-len(group) // most)
         size = -(-len(group) // batches)
         for first in range(0, len(group), size):
@@ -254,8 +252,7 @@ def _search(
     first = batch[0].experiment
     with jax.enable_x64(first.run.dtype == "float64"):
         problems = [tuning_problem(one.experiment) for one in batch]
-        alone = first.search.on_host
-        found = [run_search(problems[0], told)] if alone else search_batch(problems, told)
+        found = search_batch(problems, told)
         last = None
         for one, problem, each in zip(batch, problems, found, strict=True):
             if one is not last:  # otherwise a repeated run that fills the batch

@@ -112,8 +112,7 @@ def tune(
         position_weight: Weight of the position's RMSE in the cost on recordings [deg/m].
         seed: Replaces the experiment's seed.
         iterations: Replaces the experiment's number of iterations.
-        out: Folder for the result, and for checkpoints during the search (pycma has none, because
-            its state can't be saved).
+        out: Folder for the result, and for checkpoints during the search.
         overwrite: Replace another run in that folder.
         resume: Folder of an interrupted or finished run to continue; instead of `out`. The
             experiment must be the same (`saving.resume.experiment_to_resume`), except that it may

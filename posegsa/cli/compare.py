@@ -52,11 +52,10 @@ def add(commands) -> None:
 def _names() -> str:
     """The epilogue of the help: the available optimisers and test functions."""
     from posegsa.optimisers.functions import FUNCTIONS
-    from posegsa.optimisers.registry import OPTIMISERS, USUAL
+    from posegsa.optimisers.registry import OPTIMISERS
 
-    others = [name for name in OPTIMISERS if name not in USUAL]
     return (
-        f"Optimisers without --optimisers: {','.join(USUAL)}. Others: {', '.join(others)}. "
+        f"Optimisers, all without --optimisers: {','.join(OPTIMISERS)}. "
         f"Test functions: {', '.join(FUNCTIONS)}."
     )
 
@@ -75,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     """Compare optimisers."""
     from posegsa import comparing
     from posegsa.optimisers.functions import ClassicalFunction
-    from posegsa.optimisers.registry import USUAL
+    from posegsa.optimisers.registry import OPTIMISERS
     from posegsa.saving.comparison_files import DATA, FIGURE, TABLE
 
     experiment = config.override(config.as_experiment(options.config), options.set)
@@ -84,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
         function = ClassicalFunction(
             options.function, options.dimensions, options.shift, options.rotation
         )
-    names = list(USUAL)
+    names = list(OPTIMISERS)
     if options.optimisers is not None:
         given = (name.strip() for name in options.optimisers.split(","))
         names = list(dict.fromkeys(filter(None, given)))

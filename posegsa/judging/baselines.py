@@ -86,9 +86,9 @@ def search_baseline(problem: TuningProblem, kind: str) -> Candidate:
 
 
 def searchable(experiment: config.Experiment) -> config.Experiment:
-    """The experiment, with an optimiser that can search any schedule in a compiled loop."""
+    """The experiment, with an optimiser that can search any schedule: one without gradients."""
     optimiser: Optimiser = experiment.search
-    if optimiser.on_host or any(phase.wants_gradients for phase in optimiser.phases):
+    if any(phase.wants_gradients for phase in optimiser.phases):
         agents = max(optimiser.agents, 4)  # differential evolution needs 4
         iterations = max(1, optimiser.evaluations // agents)
         size = [f"search.agents={agents}", f"search.iterations={iterations}"]

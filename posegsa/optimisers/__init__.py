@@ -7,11 +7,10 @@ two halves, for use inside your own compiled function. `ask` and `tell` are the 
 
 from posegsa.optimisers.adam import Adam as Adam
 from posegsa.optimisers.ask_tell import Optimiser as Optimiser
+from posegsa.optimisers.cma_es import CMAES as CMAES
 from posegsa.optimisers.differential_evolution import DifferentialEvolution as DifferentialEvolution
 from posegsa.optimisers.driver import in_chunks as in_chunks
 from posegsa.optimisers.driver import runner as runner
-from posegsa.optimisers.evosax import CMAES as CMAES
-from posegsa.optimisers.evosax import Evosax as Evosax
 from posegsa.optimisers.gradient import Differentiable as Differentiable
 from posegsa.optimisers.gradient import forward_mode as forward_mode
 from posegsa.optimisers.gradient import reverse_mode as reverse_mode
@@ -28,7 +27,6 @@ from posegsa.optimisers.minimisation import minimise as minimise
 from posegsa.optimisers.particle_swarm import ParticleSwarm as ParticleSwarm
 from posegsa.optimisers.polish import Polish as Polish
 from posegsa.optimisers.polish import PolishedGSA as PolishedGSA
-from posegsa.optimisers.pycma import PyCMA as PyCMA
 from posegsa.optimisers.random_search import RandomSearch as RandomSearch
 from posegsa.optimisers.registry import OPTIMISERS as OPTIMISERS
 from posegsa.optimisers.search_box import Box as Box

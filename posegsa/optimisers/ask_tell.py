@@ -53,16 +53,12 @@ class Optimiser(Section):
     """Name of one of its agents."""
     iteration_noun: ClassVar[str] = "iteration"
     """Name of one of its iterations."""
-    on_host: ClassVar[bool] = False
-    """Whether `ask` and `tell` are ordinary Python that JAX can't compile."""
     wants_gradients: ClassVar[bool] = False
     """Whether `tell` also gets the gradients of the costs."""
     failure_cost: ClassVar[FailureCost] = "worst so far"
     """The cost that it gets instead of a cost that is not finite."""
     fixed_length: ClassVar[str] = ""
     """Why a search can't be extended to more iterations; empty if it can."""
-    compared_by_default: ClassVar[bool] = True
-    """Whether `compare` runs it by default."""
 
     @abstractmethod
     def init(self, key: Array, dimensions: int, dtype: DTypeLike) -> Any:
@@ -88,7 +84,7 @@ class Optimiser(Section):
         """Check that the optimiser can run here.
 
         Raises:
-            ConfigError: A library that it needs is not installed, or lacks the strategy.
+            ConfigError: A library that it needs is not installed.
         """
 
     def price(self, dimensions: int) -> str:

@@ -33,7 +33,7 @@ def runner(
     python_objective: bool = False,
     on_devices: OnDevices | None = None,
 ) -> Runner:
-    """A function that runs one search, or R of them: compiled if possible, or on the host.
+    """A function that runs one search, or R of them: compiled, unless the objective is Python's.
 
     It is compiled once for each optimiser, objective and `on_devices`, which are compared by
     equality, and for each shape of the other arguments.
@@ -47,19 +47,16 @@ def runner(
         python_objective: As in `advance`.
         on_devices: The devices that run the search; by default one.
     """
-    if not (python_objective or optimiser.on_host):
+    if not python_objective:
         return lambda search, stop: _advance(
             optimiser, objective, on_devices, data, box, search, stop, until
         )
     costs: Any = objective.costs if isinstance(objective, Differentiable) else objective
-    costs = costs if python_objective else jax.jit(costs)
 
     def run(search: Search, stop: int) -> Search:
         if stop == 0:  # only to compile
             jax.block_until_ready(costs(jnp.tile(box.lower[None], (optimiser.agents, 1))))
-        return advance(
-            optimiser, costs, box, search, stop, until, python_objective=python_objective
-        )
+        return advance(optimiser, costs, box, search, stop, until, python_objective=True)
 
     return run
 

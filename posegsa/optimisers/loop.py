@@ -67,9 +67,10 @@ def start(optimiser: Optimiser, box: Box, key: Array) -> Search:
     """
     for phase in optimiser.phases:
         phase.check_usable()
-    return (_started if optimiser.on_host else _compiled_start)(optimiser, box, key)
+    return _started(optimiser, box, key)
 
 
+@partial(jax.jit, static_argnums=0)
 def _started(optimiser: Optimiser, box: Box, key: Array) -> Search:
     dimensions, dtype = box.lower.shape[0], box.lower.dtype
     iterations = optimiser.total_iterations
@@ -114,7 +115,7 @@ def advance(
     arrays. `stop` may be traced too, so that one compilation serves chunks of every size. A search
     gives the same bits for any chunks. On several devices, run it inside `jax.shard_map` and let
     the objective split the agents and gather their costs: the search is then the same on every
-    device, to the last bit. An optimiser that JAX can't compile runs as a loop in Python.
+    device, to the last bit.
 
     Args:
         optimiser: The optimiser that `search` was started with.
@@ -138,20 +139,19 @@ def advance(
     Raises:
         ArgumentError: The objective does not return one cost per agent.
     """
-    in_python = python_objective or optimiser.on_host
-    repeat = _while if in_python else lax.while_loop
+    repeat = _while if python_objective else lax.while_loop
     phases, begin = optimiser.phases, 0
     states = [search.state] if len(phases) == 1 else list(search.state)
     for i, phase in enumerate(phases):
         if i > 0:
             begins = (search.iteration == begin) & (jnp.asarray(stop) > begin)  # in one chunk
-            states[i] = (_entered_in_python if in_python else _entered)(
+            states[i] = (_entered_in_python if python_objective else _entered)(
                 phase, begins, states[i], box, search.best_position
             )
         end = begin + phase.iterations
         search = repeat(
             partial(_goes_on, begin, jnp.minimum(stop, end), until),
-            partial(_step, phase, objective, box, python_objective, in_python),
+            partial(_step, phase, objective, box, python_objective),
             search._replace(state=states[i]),
         )
         states[i], begin = search.state, end
@@ -169,12 +169,12 @@ def _entered_in_python(
     """`_entered`, in Python."""
     if not begins:
         return state
-    return (_entered if phase.on_host else _compiled_entered)(phase, begins, state, box, position)
+    return _compiled_entered(phase, begins, state, box, position)
 
 
 def _while(going: Callable[[Search], Array], step: Callable[[Search], Search], search: Search):
     """`lax.while_loop`, in Python."""
-    while going(search._replace(state=None)):  # the optimiser's state may hold more than arrays
+    while going(search):
         search = step(search)
     return search
 
@@ -195,16 +195,10 @@ def _goes_on(begin: int, end: Array, until: Until | None, search: Search) -> Arr
 
 
 def _step(
-    phase: Optimiser,
-    objective: Any,
-    box: Box,
-    python_objective: bool,
-    in_python: bool,
-    search: Search,
+    phase: Optimiser, objective: Any, box: Box, python_objective: bool, search: Search
 ) -> Search:
-    """One iteration; if the loop runs in Python, ask and tell are compiled where possible."""
-    compiled = in_python and not phase.on_host
-    positions = (_compiled_ask if compiled else ask)(phase, box, search)
+    """One iteration; if the loop runs in Python, ask and tell are compiled on their own."""
+    positions = (_compiled_ask if python_objective else ask)(phase, box, search)
     if python_objective:
         found = objective(np.asarray(positions))
     else:
@@ -212,7 +206,7 @@ def _step(
         found = (given.costs_and_gradients if phase.wants_gradients else given.costs)(positions)
     costs, *gradients = found if isinstance(found, tuple) else (found,)
     seen = _numbers(phase, box, costs, *gradients)
-    return (_compiled_tell if compiled else tell)(phase, box, search, *seen)
+    return (_compiled_tell if python_objective else tell)(phase, box, search, *seen)
 
 
 def _numbers(optimiser: Optimiser, box: Box, costs: Any, gradients: Any = None) -> list[Array]:
@@ -312,7 +306,6 @@ def tell(
     )
 
 
-_compiled_start = jax.jit(_started, static_argnums=(0,))
 _compiled_ask = jax.jit(ask, static_argnums=(0,))
 _compiled_tell = jax.jit(tell, static_argnums=(0,))
 _compiled_entered = jax.jit(_entered, static_argnums=(0,))

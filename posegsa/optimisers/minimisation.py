@@ -104,7 +104,7 @@ def minimise(
     until = _until(target, patience, tolerance)
     begin = partial(start, optimiser)
     if key.ndim > 0:
-        if python_objective or optimiser.on_host:
+        if python_objective:
             refuse(f"minimise: keys of shape {key.shape} on the host", "one key")
         box = jax.tree.map(lambda bound: jnp.broadcast_to(bound, (len(key), *bound.shape)), box)
         begin = jax.vmap(begin)

@@ -2,12 +2,11 @@
 
 from posegsa.optimisers.adam import Adam
 from posegsa.optimisers.ask_tell import Optimiser
+from posegsa.optimisers.cma_es import CMAES
 from posegsa.optimisers.differential_evolution import DifferentialEvolution
-from posegsa.optimisers.evosax import CMAES, Evosax
 from posegsa.optimisers.gsa import GSA
 from posegsa.optimisers.particle_swarm import ParticleSwarm
 from posegsa.optimisers.polish import PolishedGSA
-from posegsa.optimisers.pycma import PyCMA
 from posegsa.optimisers.random_search import RandomSearch
 
 _KINDS = (
@@ -18,12 +17,8 @@ _KINDS = (
     CMAES,
     Adam,
     PolishedGSA,
-    Evosax,
-    PyCMA,
 )
 OPTIMISERS: dict[str, type[Optimiser]] = {
     kind.model_fields["optimiser"].default: kind for kind in _KINDS
 }
 """Optimisers by name, the default first."""
-USUAL = tuple(name for name, kind in OPTIMISERS.items() if kind.compared_by_default)
-"""Names of the optimisers that `posegsa.compare` runs by default."""

@@ -5,9 +5,8 @@
     line 3: JSON: format, about, and the name, dtype and shape of each array
     the arrays' bytes, one after the other, little-endian
 
-A `Search` can be saved if its state consists of arrays, as for all optimisers except pycma, whose
-state is a Python object. Arrays are named by their path in the search, such as `.state.position`;
-random keys are stored as their numbers.
+A `Search` can be saved if its state consists of arrays. They are named by their path in the search,
+such as `.state.position`; random keys are stored as their numbers.
 """
 
 import hashlib
@@ -92,8 +91,8 @@ def save_search(path: str | Path, search: Search, about: dict[str, Any] | None =
         about: Further data to store, in JSON's types.
 
     Raises:
-        CheckpointError: The argument is not a search, its state does not consist of arrays (as for
-            pycma), or the file cannot be written.
+        CheckpointError: The argument is not a search, its state does not consist of arrays, or the
+            file cannot be written.
     """
     if not isinstance(search, Search):
         raise CheckpointError(f"search: a {type(search).__name__}; needed: a Search")
@@ -111,12 +110,6 @@ def save_search(path: str | Path, search: Search, about: dict[str, Any] | None =
         write_atomically(Path(path), _MAGIC + digest + b"\n" + content)
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def objects_in(search: Search) -> dict[str, str]:
-    """The parts of a search that cannot be saved, by path: types of those that are not arrays."""
-    leaves = _leaves(search).items()
-    return {path: type(leaf).__name__ for path, leaf in leaves if not _is_numeric(leaf)}
 
 
 def load_search(path: str | Path, like: Search) -> Search:
@@ -177,16 +170,15 @@ def _arrays(argument: str, search: Search) -> dict[str, jax.Array]:
     Raises:
         CheckpointError: It contains something else.
     """
-    for path, kind in objects_in(search).items():
-        raise CheckpointError(
-            f"{argument}{path} is a {kind}; needed: an array, so that it can be saved and read"
-        )
-    return {path: jnp.asarray(leaf) for path, leaf in _leaves(search).items()}
-
-
-def _leaves(search: Search) -> dict[str, Any]:
     leaves, _ = jax.tree_util.tree_flatten_with_path(search)
-    return {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
+    arrays = {jax.tree_util.keystr(path): leaf for path, leaf in leaves}
+    for path, leaf in arrays.items():
+        if not _is_numeric(leaf):
+            raise CheckpointError(
+                f"{argument}{path} is a {type(leaf).__name__}; needed: an array, so that it can be "
+                "saved and read"
+            )
+    return {path: jnp.asarray(leaf) for path, leaf in arrays.items()}
 
 
 def _is_numeric(leaf: object) -> bool:

@@ -23,7 +23,7 @@ from posegsa.errors import (
 from posegsa.optimisers import Search, lengthened
 from posegsa.runtime import environment
 from posegsa.saving.atomic_files import PART
-from posegsa.saving.checkpoint import Checkpoint, objects_in, read, save_search
+from posegsa.saving.checkpoint import Checkpoint, read, save_search
 from posegsa.saving.folder import CHECKPOINT_SUFFIX, CHECKPOINTS, write_errors
 from posegsa.saving.interrupt import StopRequest, deferred_signals, resumable
 from posegsa.saving.records import from_plain
@@ -97,14 +97,6 @@ def search_with_checkpoints(
         search = first_search(problem._replace(experiment=run.about.experiment))
         search = lengthened(run.checkpoint.search(search), experiment.search.total_iterations)
         before = run.about.search_seconds, run.about.compile_seconds
-    if objects_in(search):
-        warnings.warn(
-            f"search.optimiser = {experiment.search.optimiser!r} keeps a state that can't be "
-            "saved: no checkpoints are made, and the run can't be resumed",
-            PosegsaWarning,
-            stacklevel=4,
-        )
-        return run_search(problem, progress, search=search)
     with deferred_signals() as request:
         cost = cost_name(problem.cost)
         writer = CheckpointWriter(folder, experiment, request, before, cost, recorded)
@@ -136,10 +128,7 @@ def newest_checkpoint(folder: Path) -> CheckpointedRun:
         return _run_of(found)
     none = f"{folder}: holds no checkpoint to resume from"
     if not damaged:
-        none += (
-            "; a run has none that was stopped before its search began, or whose optimiser's state "
-            "can't be saved: start it again"
-        )
+        none += "; a run has none that was stopped before its search began: start it again"
     raise CheckpointError("\n".join([*damaged, none]))
 
 

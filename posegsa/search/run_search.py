@@ -154,11 +154,7 @@ def run_search(
             warnings.warn(price, PosegsaWarning, stacklevel=2)
     _warn_of_long_iterations([problem])
     _warn_of_slow_filter(problem)
-    if optimiser.on_host:
-        costs, box = on_all_devices(problem), problem.space.box
-        run = runner(optimiser, costs, box, python_objective=True)
-    else:
-        search, run = _on_devices(problem, search)
+    search, run = _on_devices(problem, search)
     return run_timed(run, search, optimiser.total_iterations, progress, after_chunk)
 
 
@@ -219,11 +215,6 @@ def search_batch(
         if any(getattr(problem.experiment, name) != getattr(first, name) for problem in problems):
             raise ConfigError(f"{name}: differs within the batch; allowed: the same in all of it")
     optimiser = first.search
-    if optimiser.on_host:
-        raise ConfigError(
-            f"search.optimiser = {optimiser.optimiser!r} can't be compiled, and so not run in a "
-            "batch"
-        )
     _warn_of_long_iterations(problems)
     # One program needs one reach: terms farther apart than its own do not overlap, and add 0.
     reach = max(getattr(problem.space.schedules, "reach", 0) for problem in problems)

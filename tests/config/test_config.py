@@ -11,7 +11,7 @@ import posegsa.config as config
 from posegsa.config import Experiment, from_dict, load, override, to_toml
 from posegsa.config.tunable import with_numbers
 from posegsa.errors import ConfigError, PosegsaError, RunFolderError
-from posegsa.optimisers import GSA, OPTIMISERS, Adam, DifferentialEvolution, Evosax, Optimiser
+from posegsa.optimisers import CMAES, GSA, OPTIMISERS, Adam, DifferentialEvolution, Optimiser
 
 pytestmark = pytest.mark.quick
 
@@ -344,7 +344,7 @@ searches = st.one_of(
     st.builds(GSA, agents=st.integers(2, 99), g0=positive, final_percent=st.floats(0, 100)),
     st.builds(DifferentialEvolution, crossover=shares, strategy=st.just("best/1/bin")),
     st.builds(Adam, agents=st.integers(1, 99), spread=shares, epsilon=positive),
-    st.builds(Evosax, strategy=st.just("SNES"), sigma=positive),
+    st.builds(CMAES, sigma=positive),
 ).map(lambda search: search.model_dump())
 
 

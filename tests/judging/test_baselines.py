@@ -150,13 +150,13 @@ def test_the_baselines_have_the_filter_that_suits_them(tuned_too) -> None:
     assert 0 < float(found.schedule.learning_time) <= 1
 
 
-def test_one_that_can_not_be_compiled_or_descends_is_searched_by_differential_evolution() -> None:
-    for name in ("adam", "gsa+adam", "pycma"):
+def test_one_that_descends_is_searched_by_differential_evolution() -> None:
+    for name in ("adam", "gsa+adam"):
         enough = ["search.agents=10", "search.iterations=100"]
         one = config.override(config.override(tiny(), enough), [f"search.optimiser={name}"])
         assert searchable(one).search.optimiser == "de"
-    few = ["search.optimiser=pycma", "search.agents=3", "search.iterations=8"]
-    assert searchable(config.override(tiny(), few)).search.evaluations == 24
+    few = ["search.optimiser=adam", "search.agents=1", "search.iterations=2"]
+    assert searchable(config.override(tiny(), few)).search.evaluations == 44
     assert searchable(tiny()) == tiny()
 
 
@@ -187,16 +187,13 @@ def test_replayed_gains_are_means_over_training_scenarios(problem) -> None:
     np.testing.assert_allclose(schedule.time, 0.01 * np.arange(200), atol=1e-6)
 
 
-@pytest.mark.parametrize(("name", "library"), [("cma_es", "evosax"), ("pycma", "cma")])
-def test_random_search_needs_no_library_of_the_runs_own_optimiser(
-    problem, monkeypatch, name, library
-) -> None:
+def test_random_search_needs_no_library_of_the_runs_own_optimiser(problem, monkeypatch) -> None:
     found = random_search(problem)
     assert isinstance(found.schedule, FuzzyGain)
-    for module in [m for m in sys.modules if m.split(".")[0] == library]:
+    for module in [m for m in sys.modules if m.split(".")[0] == "evosax"]:
         monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.setitem(sys.modules, library, None)
-    other = config.override(problem.experiment, [f"search.optimiser={name}"])
+    monkeypatch.setitem(sys.modules, "evosax", None)
+    other = config.override(problem.experiment, ["search.optimiser=cma_es"])
     again = random_search(problem._replace(experiment=other))
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(a, b)

@@ -20,7 +20,7 @@ from posegsa.optimisers import (
     minimise,
     start,
 )
-from posegsa.saving.checkpoint import FORMAT, load_search, objects_in, read, save_search
+from posegsa.saving.checkpoint import FORMAT, load_search, read, save_search
 
 BOX = box([-1.0, -1.0], [1.0, 2.0])
 SMALL = GSA(agents=5, iterations=7)
@@ -216,8 +216,6 @@ def test_bytes_that_do_not_fit_the_arrays_are_refused(saved):
 
 def test_an_object_that_is_not_an_array_is_refused_by_name(whole, tmp_path):
     odd = whole[0]._replace(state={"strategy": (object(), 1.0)})
-    assert objects_in(odd) == {".state['strategy'][0]": "object"}
-    assert not objects_in(whole[0])
     with pytest.raises(CheckpointError, match=r"search\.state\['strategy'\]\[0\] is a object"):
         save_search(tmp_path / "search", odd)
     assert not any(tmp_path.iterdir())
