@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def entry() -> NoReturn:
     """Run the command line, and end the process with its status.
 
-    A process that was stopped by a signal ends at once, whatever is still compiled beside.
+    A process that was stopped by a signal ends at once, even if a thread is still compiling.
     """
     status = main()
     if status > 128:

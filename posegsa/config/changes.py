@@ -39,7 +39,7 @@ def with_values(
         _leave_named(data, "filter", named)
         _leave_named(data, "tuned", named)
         if not _named("parameters.also", named):
-            # All values are present here, so the ones that the user set are unknown.
+            # The data hold every value, so it is not known which of them the user set.
             kind = FILTERS.get(str(filter_.get("kind")))
             also = () if kind is None else kind.also
             parameters["also"] = [one.model_dump(mode="json") for one in also]

@@ -54,7 +54,7 @@ StartOff = tuple[Annotated[NonNegative, Field(le=180)], NonNegative]
 Window = Annotated[tuple[Index, Index], Ascending]
 """First and last sample, both included."""
 _BY_DEFAULT = tuple(one for kind in FILTERS.values() for one in kind.also)
-"""Tuned by default: where one of these has no effect, it is left out without an error."""
+"""Numbers that are tuned by default; where one has no effect, it is left out without an error."""
 ONE_OPTIMISER = Choice("optimiser", OPTIMISERS)
 """The optimisers that [search] can select."""
 

@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
-from posegsa.errors import ScenarioError
-from posegsa.model.observability import are_collinear, check_observability
+from posegsa.model.observability import are_collinear, why_unobservable
 from posegsa.settings.fields import (
     MAX_SAMPLES,
     Count,
@@ -208,16 +207,17 @@ class ScenarioConfig(Section):
         product = self.cross_vector if cross_vector_weight > 0 else None
         if product:
             vectors.append((product, cross_vector_weight))
-        try:
-            check_observability(
-                [direction for direction, _ in vectors],
-                [landmark.position for landmark in self.landmarks],
-                [weight for _, weight in vectors],
-                [landmark.weight for landmark in self.landmarks],
-            )
-        except ScenarioError as error:
+        why = why_unobservable(
+            [direction for direction, _ in vectors],
+            [landmark.position for landmark in self.landmarks],
+            [weight for _, weight in vectors],
+            [landmark.weight for landmark in self.landmarks],
+        )
+        if why:
             these = "these, their cross product" if product else "these"
-            yield Violation("vectors", f"with {these} and the landmarks, {error}")
+            yield Violation(
+                "vectors", f"with {these} and the landmarks, the pose is not observable: {why}"
+            )
 
 
 def _near_rotation(matrix: np.ndarray, within: float) -> bool:

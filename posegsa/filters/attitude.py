@@ -142,7 +142,7 @@ LONGEST_REFUSAL = 1.0
 """Time of refused fields [s] after which they may be right and the first field wrong."""
 ASTRAY, ASTRAY_TIME = math.cos(math.radians(45)), 3.0
 """Cosine of the angle between a believed field and north, and the time of a larger one [s] after
-which the heading counts as unknown: its variance does not grow with a fault of the gyroscope."""
+which the heading counts as unknown, as its variance does not grow with a fault of the gyroscope."""
 SMALL_ANGLE = 0.5
 """Angle between two samples [rad] up to which a short series gives the rotation."""
 ALL_TURNING = 0.5

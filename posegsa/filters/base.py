@@ -45,9 +45,9 @@ class Sensors(NamedTuple):
     """How many sensors of each kind a filter reads."""
 
     vectors: int
-    """Measured one by one; 0 if the samples hold only Wahba's sums."""
+    """Number of vectors in a sample; 0 if it holds only their sums (Wahba's)."""
     landmarks: int
-    """Measured one by one."""
+    """Number of landmarks in a sample."""
 
 
 def sensors_of(measurements: Measurements) -> Sensors:

@@ -405,8 +405,8 @@ def update(
 ) -> tuple[KalmanState, Found]:
     """The state after a sample's vectors and landmarks; missing measurements are skipped.
 
-    The covariance is still in the coordinates before the last correction of the estimate, which is
-    returned with it: `propagate` moves it together with its own transport, in one product. The
+    The covariance is still in the coordinates before the last correction of the estimate. That
+    correction is returned too: `propagate` applies it with its own transport, in one product. The
     innovations are those of the first linearisation, at the estimate before the sample.
 
     Args:

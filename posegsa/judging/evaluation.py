@@ -60,7 +60,7 @@ IMU_AS_IT_COMES = "attitude filter as it comes"
 CLAIRVOYANT = "clairvoyant"
 """The name of the reference in the last row, which knows what no filter can know."""
 NOT_TUNED = "this filter"
-"""The name of the judged filter, instead of the first contender's, if no search found it."""
+"""What tables call the judged filter if it was not searched; else it is TUNED."""
 ADVICE = {
     CONSTANT: "`posegsa tune CONFIG --set filter.schedule=constant`",
     SMOOTH: "`posegsa tune CONFIG --set filter.schedule=smooth`",

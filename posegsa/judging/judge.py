@@ -65,7 +65,7 @@ _PARTS = (
 
 
 class References(NamedTuple):
-    """What judges a filter on held-out scenarios and does not depend on its search."""
+    """The references on held-out scenarios, which can be computed while the search runs."""
 
     untuned: dict[str, Contender]
     """The untuned Kalman filter, by name; none where it cannot start."""

@@ -92,7 +92,7 @@ def of_recordings(recordings: Sequence[Recording]) -> KnownSensors | None:
     """The sensors of recordings; None if their references differ or move.
 
     The weight of a sensor is the median of its weights at the samples where it is measured. Those
-    are the weights given for the recording, times the samples from one measurement to the next.
+    are the weights given for the recording, times the number of samples between two measurements.
     """
     if not recordings:
         return None

@@ -108,7 +108,7 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
             parts.append(jax.device_get(track).until(int(given)))
         return ErrorTrack.joined(parts)
 
-    # Only errors are held over the whole length, so long scenarios can be in groups of full size.
+    # Groups keep their full size for long scenarios too, as only errors are held over the length.
     return in_groups(some, count, padded(samples) // SCENARIOS)
 
 

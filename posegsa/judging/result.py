@@ -120,7 +120,7 @@ class Result:
 
     @property
     def schedule(self) -> GainSchedule:
-        """The tuned gain schedule, ready for `Observer`; without belief (`candidate.schedule`).
+        """The tuned gain schedule, ready for `Observer`; `candidate.schedule` has belief too.
 
         Raises:
             ArgumentError: The filter does not have one.

@@ -60,7 +60,7 @@ def tune_kalman(problem: TuningProblem) -> Description:
 
     Differential evolution searches their logarithms until a check finds less than
     MIN_IMPROVEMENT. Its first agent has the noises as configured, by default those of the sensors'
-    data sheet, which a few evaluations hardly improve, and schedules without effect.
+    data sheet, and schedules without effect. A few evaluations hardly improve on it.
     """
     experiment, space = problem.experiment, problem.space
     optimiser = DifferentialEvolution(

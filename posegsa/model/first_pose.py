@@ -37,8 +37,8 @@ LIKE_A_DIRECTION = 2.0
 """The error of a landmark [m] that counts as one of 1 rad in a vector's direction: usual sensors
 have some 0.1 m and 0.05 rad."""
 SQUARINGS = 24
-"""Squarings of Davenport's matrix. At the least INDEPENDENT its largest eigenvalues are as near as
-1 to 1 - 2.5e-4, which 18 would part to 1e-28."""
+"""Squarings of Davenport's matrix. In the worst accepted case, at INDEPENDENT, its second
+eigenvalue is 1 - 2.5e-4 times the largest; 18 squarings would reduce it to 1e-28."""
 WAITING_STEP = 1e-6
 """Factor on the time steps before the start: nothing moves, and nothing is divided by 0."""
 REST = 1.0

@@ -13,7 +13,7 @@ from posegsa.model.elementwise import choose
 LONGEST_LOOP, LONGEST_TOGETHER = 8, 256
 """Maximum number of steps in a loop that stores something, of one simulation and of many; longer
 loops are nested. Shorter loops copy less, and padding wastes more: up to a quarter of the steps
-with 8. What many compute takes longer than the copies of what they store."""
+with 8. The steps of many simulations take longer than the copies, so their loops may be longer."""
 
 Step = Callable[[Any, Any], tuple[Any, Any]]
 """Maps the carry and a step's input to the new carry and what is stored, as in `lax.scan`."""

@@ -25,29 +25,6 @@ COINCIDENT = 1e-9
 turns the line between landmarks farther apart by less than `PARALLEL`."""
 
 
-def check_observability(
-    directions: ArrayLike,
-    positions: ArrayLike,
-    direction_weights: ArrayLike | None = None,
-    position_weights: ArrayLike | None = None,
-) -> None:
-    """Raises if the pose cannot be determined from these vectors and landmarks.
-
-    Args:
-        directions: Vectors in the inertial frame, of any length above zero, shape (n, 3).
-        positions: Landmark positions in the inertial frame [m], shape (m, 3).
-        direction_weights: One weight per vector, shape (n,); 0 leaves a vector out. By default
-            all count.
-        position_weights: The same for each landmark, shape (m,).
-
-    Raises:
-        ScenarioError: If the pose is not observable; says what was found and what is needed.
-    """
-    why = why_unobservable(directions, positions, direction_weights, position_weights)
-    if why:
-        raise ScenarioError(f"the pose is not observable: {why}")
-
-
 def why_unobservable(
     directions: ArrayLike,
     positions: ArrayLike,
@@ -56,7 +33,12 @@ def why_unobservable(
 ) -> str:
     """Why the pose cannot be determined: what was found and what is needed; "" if it can.
 
-    The arguments are those of `check_observability`.
+    Args:
+        directions: Vectors in the inertial frame, of any length above zero, shape (n, 3).
+        positions: Landmark positions in the inertial frame [m], shape (m, 3).
+        direction_weights: One weight per vector, shape (n,); 0 leaves a vector out. By default
+            all count.
+        position_weights: The same for each landmark, shape (m,).
 
     Raises:
         ScenarioError: An argument has another shape, is not finite, or a direction is zero.

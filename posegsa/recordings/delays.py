@@ -22,7 +22,7 @@ MAX_DELAY = 0.2
 MIN_EXPLAINED = 0.22
 """Minimum share of the squares that a named delay explains, if the residual is not white."""
 MIN_TIMES_CHANCE = 64.0
-"""The same if it is white, as a multiple of the share that chance explains of as many samples."""
+"""The same if it is white, as a multiple of the share that chance alone explains."""
 WHITE_CORRELATION = 0.4
 """Correlation of neighbouring samples up to which the residual counts as white."""
 BLOCKS, DRAWS = 20, 400

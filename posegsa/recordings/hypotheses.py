@@ -14,8 +14,8 @@ from posegsa.recordings.relations import AXES, Quantities, Vector, given, misfit
 from posegsa.recordings.rotations import matrices, quaternions, to_east_north_up
 
 MAX_MISFIT, MAX_MISFIT_OF_FIT = 0.35, 0.1
-"""Largest misfit, without the mistake, of the relation that improves most; and where numbers are
-taken from the data to undo it."""
+"""Largest misfit that may remain, in the relation that improves most, once a mistake is undone; and
+once it is undone with numbers that are fitted to the data."""
 LENGTHS = ("cm", 100.0), ("mm", 1000.0)
 """Units that are taken for metres, with their number in a metre."""
 MIRRORED = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])

@@ -20,8 +20,9 @@ PART_TIME = 0.5
 MIN_PARTS = 4
 """Parts of rest, or of motion, that are enough to say something."""
 COMPARED_AFTER, MIN_SIDEWAYS_SHARE, MIN_SEEN_SHARE = 1.5, 0.3, 0.3
-"""Time between the directions that are compared at rest [s]; the least share of a turn that is
-sideways to a direction which shows it; and of this the least that is seen of a real turn."""
+"""Time between the directions that are compared at rest [s]; smallest share of a turn that must be
+perpendicular to a direction for it to show the turn; and smallest part of that share that must be
+seen for the turn to be real."""
 FIELD_OFF, FORCE_OFF, BIAS_OFF = 0.1, 0.02, float(np.deg2rad(1.0))
 """Change of the field's length, and error of the acceleration's at rest, as shares, and bias of the
 gyroscope [rad/s], from which on there is advice. Of the 17 trials of BROAD that were looked at,

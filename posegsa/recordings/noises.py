@@ -36,7 +36,7 @@ LONGEST_TAU_SHARE = 1 / 8
 LEAD_HORIZON, LEAD_SMOOTHING = 0.5, 0.05
 """Time over which a lead is fitted, and over which the true velocity is averaged for it [s]."""
 MIN_LEAD_BENEFIT = 0.1
-"""Minimum part of an error over LEAD_HORIZON that a lead explains, as a share of the rest."""
+"""What a lead must explain of the error over LEAD_HORIZON, as a share of what it leaves."""
 MIN_LEAD = 0.05
 """A smaller lead is not worth its states in the filter, in time steps."""
 MIN_WALK_RATIO = 4.0

@@ -16,8 +16,8 @@ wrong signs that hardly change the total. Without a P, means over seconds are co
 specific force only gravity remains in them.
 
 Raw signals of an inertial sensor have the references that their frame gives them: gravity upwards,
-and for a field, whose size and dip are unknown, the horizontal direction north. That relation says
-only which frame is meant (NORTH_OFF): a truth may well be turned about the vertical otherwise.
+and for a field, whose size and dip are unknown, the horizontal direction north. That relation only
+tells which frame is meant (NORTH_OFF): the truth may well be turned about the vertical by less.
 
 A misfit is the median distance of both sides, as a share of the size of the compared quantity: 0.02
 to 0.2 for real sensors, about 1 if there is a mistake. Constant biases of the velocities are left

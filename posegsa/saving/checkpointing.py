@@ -197,7 +197,7 @@ class CheckpointWriter:
         took = search_seconds - (self._last[1] if self._last else 0.0)
         self._last = search, search_seconds, compile_seconds
         self._iteration, self._best = int(search.iteration), float(search.best_cost)
-        # A chunk that took this long must not be lost if the process ends during the next one.
+        # A long chunk is saved at once: it must not be lost if the process ends during the next.
         if took > LONGEST_CHUNK or self._is_due():
             self._save()
         self.stop_if_asked()

@@ -61,7 +61,7 @@ def filter_settings(experiment: config.Experiment) -> FilterSettings:
             cross_weight=number(section.cross_vector_weight),
             normalise=section.normalise_vectors,
             cross=section.cross_vector,
-            # Candidates with their own weights also combine the vectors differently.
+            # A candidate with its own weights sums the vectors with them, in each step.
             each_agent=learnt
             or bool(section.roles)
             or any("vector" in one.key for one in experiment.also),

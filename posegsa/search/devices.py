@@ -2,7 +2,7 @@
 
 Every device runs the whole search; only the simulations are divided (`agent_costs`), and only their
 costs are exchanged. So a seed gives the same bits on any number of devices and processes, unless
-there are so many that the agents of one scenario must be divided (`population.partition`).
+there are more devices than scenarios, whose agents are then divided (`population.partition`).
 """
 
 from collections.abc import Callable

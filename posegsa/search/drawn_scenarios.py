@@ -231,7 +231,7 @@ def family(experiment: config.Experiment, dtype: DTypeLike) -> Family:
     def array(values: tuple[float, ...]) -> Array:
         return host_array(values, dtype)
 
-    # Outages and bursts have the same number of windows, because the draws depend on it.
+    # Outages and bursts have the same number of windows: another number would change the draws.
     both = [o for o in (section.outages, section.bursts) if not isinstance(o, str)]
     most = max((_most_windows(o.rate * duration) for o in both), default=0)
 

@@ -127,9 +127,10 @@ def with_starts_off(
 def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
     """What is tuned on recordings where no configuration is given.
 
-    It is a Kalman filter with the noises that the recordings show (`found_noises`). Where its model
-    is worse than that (a wrong scale, correlated noise), more noise of the velocities makes
-    up for it: that, and the walk of the velocity's bias, is searched, and kept if it gains enough.
+    It is a Kalman filter with the noises that the recordings show (`found_noises`). Where the
+    recordings violate its model (a wrong scale, correlated noise), larger noises of the velocities
+    compensate: these and the walk of the velocity's bias are searched, and kept if the cost falls
+    by enough.
     On recordings of inertial sensors without a velocity it is the attitude filter.
     """
     if all(one.attitude_only and "accelerometer" in one.sensors for one in recordings):

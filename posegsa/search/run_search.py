@@ -216,7 +216,8 @@ def search_batch(
             raise ConfigError(f"{name}: differs within the batch; allowed: the same in all of it")
     optimiser = first.search
     _warn_of_long_iterations(problems)
-    # One program needs one reach: terms farther apart than its own do not overlap, and add 0.
+    # The searches share a program, and so the largest reach: pairs of terms that another search
+    # would leave out do not overlap in it, and add 0.
     reach = max(getattr(problem.space.schedules, "reach", 0) for problem in problems)
     try:
         training, space = jax.tree.map(
