@@ -69,15 +69,17 @@ def optimisation(request: pytest.FixtureRequest) -> None:
 
     What a test runs for a moment need not be quick, and compiling it so takes twice the time. What
     is compiled either way would be found again by the other files of a process, so it is forgotten
-    between them: once in a run, because the marked files come first.
+    between them: once in a run, because the marked files come first. Processes that tests start do
+    the same, and so find the programs of this one.
     """
     fast = request.node.get_closest_marker("optimised") is None
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = str(int(fast))
     if jax.config.read("jax_disable_most_optimizations") != fast:
         jax.clear_caches()
         jax.config.update("jax_disable_most_optimizations", fast)
 
 
-MEMORY_LIMIT = 2e9
+MEMORY_LIMIT = 4e9
 """Memory of a process above which its compiled programs are forgotten [byte]."""
 
 

@@ -6,9 +6,8 @@ from typing import Annotated, Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from posegsa.filters.base import Filter, Samples, Sensors, sensors_in
+from posegsa.filters.base import Filter, Sensors, sensors_in
 from posegsa.filters.calls import started
 from posegsa.filters.rollout import ErrorTrack, simulate_errors_together
 from posegsa.model.estimate import FilterState
@@ -93,18 +92,20 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     """
     count, samples = batch.samples.time.shape
     # All on the host: JAX compiles a program again for arrays on another device.
-    candidate, batch = jax.tree.map(np.asarray, (candidate, batch))
+    batch = jax.tree.map(np.asarray, batch)
+    # Applied here: filters of one kind share a program, whichever numbers were tuned.
+    filter = jax.tree.map(np.asarray, candidate.applied(batch.filter))
     sensors = sensors_in(batch.samples)
 
     def some(index: np.ndarray) -> ErrorTrack:
         chosen = batch.select(index)
-        state, parts = _started(candidate, batch.filter, chosen.initial, sensors), []
+        state, parts = _started(filter, chosen.initial, sensors), []
         for first in range(0, samples, LENGTH):
             part = jax.tree.map(lambda a, i=first: a[:, i : i + LENGTH], chosen.samples)
             lacking = LENGTH - part.time.shape[1]
             part = jax.tree.map(lambda a, n=lacking: np.pad(a, [(0, 0), (0, n)], mode="edge"), part)
             given = np.int32(LENGTH - lacking)
-            state, track = _tracks(candidate, batch.filter, part, state, given)
+            state, track = _tracks(filter, part, state, given)
             parts.append(jax.device_get(track).until(int(given)))
         return ErrorTrack.joined(parts)
 
@@ -113,17 +114,12 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
 
 
 @partial(jax.jit, static_argnames="sensors")
-def _started(candidate: Candidate, shared: Filter, initial: FilterState, sensors: Sensors) -> Any:
+def _started(filter: Filter, initial: FilterState, sensors: Sensors) -> Any:
     """States (S, ...) before the first sample."""
-    filter = candidate.applied(shared)
     return jax.vmap(lambda one: started(filter, one, sensors))(initial)
 
 
-@jax.jit
-def _tracks(
-    candidate: Candidate, shared: Filter, samples: Samples, states: Any, count: Array
-) -> tuple[Any, ErrorTrack]:
-    return simulate_errors_together(candidate.applied(shared), samples, states, count)
+_tracks = jax.jit(simulate_errors_together)
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs may diverge; `diverged` says so

@@ -117,7 +117,8 @@ def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Tra
     samples, initial, vector_bias = jax.tree.map(
         lambda a: np.asarray(a)[index], (batch.samples, batch.initial, batch.vector_bias)
     )
-    return _in_float64(_run(candidate, samples, initial, vector_bias, batch.filter))
+    filter = jax.tree.map(np.asarray, candidate.applied(batch.filter))
+    return _in_float64(_run(filter, samples, initial, vector_bias))
 
 
 def _in_float64(values: dict[str, Array]) -> Trajectory:
@@ -128,13 +129,9 @@ def _in_float64(values: dict[str, Array]) -> Trajectory:
 
 @jax.jit
 def _run(
-    candidate: Candidate,
-    samples: Samples,
-    initial: FilterState,
-    vector_bias: Array,
-    shared: Filter,
+    filter: Filter, samples: Samples, initial: FilterState, vector_bias: Array
 ) -> dict[str, Array]:
-    estimates = simulate(candidate.applied(shared), samples, initial)
+    estimates = simulate(filter, samples, initial)
     assert samples.truth is not None
     R = rotation_matrix(stack(samples.truth.attitude))
     # The simulation stores P as R^T P, in the body frame.

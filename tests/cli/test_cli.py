@@ -68,12 +68,9 @@ def test_tune_runs_from_any_folder(finished):
 
 def test_a_process_of_its_own_finds_the_same(finished, tmp_path):
     command = [sys.executable, "-m", "posegsa", "tune", "--seed", "3", *SETTINGS]
-    # So that the process finds the compiled programs of these tests.
-    environment = {**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
     done = subprocess.run(
         [*command, "--no-figures", "--quiet"],
         cwd=tmp_path,
-        env=environment,
         capture_output=True,
         text=True,
         timeout=300,
@@ -158,8 +155,6 @@ def test_sigterm_saves_and_says_how_to_resume(tmp_path, monkeypatch, capsys):
     process = subprocess.Popen(
         [sys.executable, "-m", "posegsa", "tune", "--out", "run", "--quiet", *SETTINGS, *long],
         cwd=tmp_path,
-        # So that the process finds the compiled programs of these tests.
-        env={**os.environ, "JAX_DISABLE_MOST_OPTIMIZATIONS": "1"},
         stderr=subprocess.PIPE,
         text=True,
     )

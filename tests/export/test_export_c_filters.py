@@ -67,7 +67,7 @@ def kalman(vector_biases: bool) -> KalmanFilter:
 
 def iterated() -> KalmanFilter:
     """One that linearises twice and resets its covariance."""
-    return replace(kalman(True), iterations=2, reset="two frames")
+    return replace(kalman(False), iterations=2, reset="two frames")
 
 
 def scheduled(name: str, landmarks: int) -> Filter:
@@ -83,7 +83,7 @@ def by_the_clock() -> Filter:
         time, log_gain = jnp.asarray([0.0, 0.5, 0.5, 30.0]), jnp.asarray([4.0, 3.0, 1.0, 0.0])
         signal = NoiseSignal(*map(jnp.asarray, (0.1, 30.0, 0.1, 600.0)))
         clock = NoiseGains(KnotGain(time, log_gain))
-        return replace(kalman(True), schedule=clock, signals=NoiseSignals(signal, signal))
+        return replace(kalman(False), schedule=clock, signals=NoiseSignals(signal, signal))
 
 
 def led() -> Filter:

@@ -5,6 +5,7 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -20,12 +21,14 @@ from posegsa import evaluating
 from posegsa.cli.command import main
 from posegsa.evaluating import evaluate
 from posegsa.judging import tuned_kalman
+from posegsa.judging.baselines import Baseline, baselines
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CLAIRVOYANT,
     CONSTANT,
     CONTENDERS,
     EKF,
+    EKF_GATED,
     NOT_TUNED,
     REPLAYED,
     SMOOTH,
@@ -44,9 +47,13 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 
 FILE = Path("evaluation")
-BESIDE = tuple(name for name in CONTENDERS if name != AS_CONFIGURED)
+SEARCHED = (EKF, EKF_GATED)
+"""The Kalman filters that are searched here; each of the others takes as long, by the same way."""
+EVERY = tuple(name for name in CONTENDERS if name != AS_CONFIGURED)
 """The contenders of a fuzzy gain, which has no numbers but those that are searched."""
-KALMAN_FILTERS = (*VARIANTS, UNTUNED)
+BESIDE = tuple(name for name in EVERY if name in SEARCHED or name not in VARIANTS)
+"""Those of this file."""
+KALMAN_FILTERS = (*SEARCHED, UNTUNED)
 
 
 @pytest.fixture(scope="module")
@@ -58,11 +65,21 @@ def evaluated():
     patch = pytest.MonkeyPatch()
     patch.setattr(tuned_kalman, "CHECK_INTERVAL", 20)
     patch.setattr(tuned_kalman, "MAX_EVALUATIONS", 40)
+    every = evaluating.baselines
+
+    def some(*given: Any) -> dict[str, Baseline]:
+        return {name: one for name, one in every(*given).items() if name in BESIDE}
+
+    patch.setattr(evaluating, "baselines", some)
     reports: list[Step] = []
     tuned = posegsa.tune(tiny())
     result = evaluate(tuned, scenarios=3, progress=reports.append)
     yield tuned, result, reports
     patch.undo()
+
+
+def test_every_contender_but_the_judged_filter_is_a_baseline(evaluated):
+    assert {*baselines(tiny(), evaluated[0].filter)} == {*EVERY} - {TUNED}
 
 
 def about(name: str, reports: list[Step]) -> list[str]:
