@@ -26,6 +26,7 @@ from posegsa.errors import (
 )
 from posegsa.figures import style as figure_style
 from posegsa.judging.evaluation import CONSTANT, TUNED
+from posegsa.judging.judge import References
 from posegsa.saving import result_files as run_folder
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import keys, scenario_keys, training_keys
@@ -187,7 +188,9 @@ def test_the_summary_shows_training_beside_held_out(run):
         assert words in text
 
 
-def test_float64_is_one_setting_away(run):
+def test_float64_is_one_setting_away(run, monkeypatch):
+    # The filters beside it would take as long to compile once more.
+    monkeypatch.setattr("posegsa.tuning.references", lambda _: References({}, None))
     result = posegsa.tune(tiny("run.dtype=float64"))
     assert result.controller.output_terms.dtype == np.float64
     assert result.search.history.best.dtype == np.float64
