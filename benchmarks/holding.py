@@ -204,7 +204,7 @@ def main() -> None:
     options = parser.parse_args()
     warnings.simplefilter("ignore", posegsa.PosegsaWarning)
     posegsa.enable_fast_path()
-    text = table(load(options.run) if options.run else posegsa.tune())
+    text = table(load(options.run) if options.run else posegsa.tune("observer"))
     print(text)
     if options.write:
         write_block("holding", text, "docs/filter.md")

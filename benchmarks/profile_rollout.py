@@ -246,8 +246,8 @@ def report(found: dict[str, Any], agents: int) -> str:
     lines += [
         "",
         f"{agents} agents, float32, the paper's scenario, one device. A loop that LLVM vectorises "
-        "leaves a scalar one for the agents that do not fill a vector; what several kernels need "
-        "and each computes again is counted so often. Made by `python benchmarks/profile_rollout.py"
+        "leaves a scalar one for the agents that do not fill a vector; an operation that several "
+        "kernels repeat is counted each time. Made by `python benchmarks/profile_rollout.py"
         f" --agents {agents} --write`.",
     ]
     return "\n".join(lines)

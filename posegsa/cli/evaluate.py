@@ -35,7 +35,7 @@ def add(commands) -> None:
         description="Compares a finished run on unseen scenarios with the best constant gain, "
         "a time switch and other schedules searched with as many evaluations, and with Kalman "
         "filters: fixed, iterated, gated and by the clock, whose noises are searched from those of "
-        "the data sheet on, until 200 evaluations improve them by less than 1 %%, at most 1000. "
+        "the data sheet on, until 200 evaluations improve them by less than 1 %, at most 1000. "
         "Takes minutes. Writes the evaluation, figures and report.html to the run's "
         "folder, and the held-out means to its result.json. With --recording it compares the run "
         "on recordings instead, with the best constant gains and a Kalman filter.",
