@@ -114,18 +114,17 @@ def state_of(start: Start) -> FilterState:
 def _run_in_parts(filter: Filter, recording: Recording, initial: FilterState) -> Estimates:
     count, measured = recording.samples, recording.measurements
     state = started(filter, initial, sensors_of(measured))
-    length = min(PART, count)
     whole: Any = None
-    for first in range(0, count, length):
-        # All parts have the same length, so that one program serves them: the last part is padded
-        # with its last sample, and the results of the padding are cut off.
-        part = jax.tree.map(partial(_padded, first, length), (measured, recording.time))
+    for first in range(0, count, PART):
+        # All parts of all recordings have one length, so that one program serves them: the last
+        # part is padded with its last sample, and the results of the padding are cut off.
+        part = jax.tree.map(partial(_padded, first), (measured, recording.time))
         state, found = _run_part(filter, *part, state)
         found = jax.device_get(found)
         if whole is None:
             whole = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), found)
         for to, of in zip(jax.tree.leaves(whole), jax.tree.leaves(found), strict=True):
-            to[first : first + length] = of[: count - first]
+            to[first : first + PART] = of[: count - first]
     if recording.attitude_only:
         return whole._replace(position=np.full_like(whole.position, np.nan))
     return whole
@@ -140,7 +139,7 @@ def _run_part(
     return simulate_part(filter, samples._replace(time=jnp.asarray(time)), state)
 
 
-def _padded(first: int, length: int, values: ArrayLike) -> np.ndarray:
-    """Values (length, ...) of an array (K, ...) from `first` on, the last of them repeated."""
-    part = np.asarray(values)[first : first + length]
-    return np.concatenate([part, np.repeat(part[-1:], length - len(part), axis=0)])
+def _padded(first: int, values: ArrayLike) -> np.ndarray:
+    """Values (PART, ...) of an array (K, ...) from `first` on, the last of them repeated."""
+    part = np.asarray(values)[first : first + PART]
+    return np.concatenate([part, np.repeat(part[-1:], PART - len(part), axis=0)])

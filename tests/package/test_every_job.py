@@ -56,7 +56,6 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 OWN = {"kind": "own"}
 FILTERS: dict[str, tuple[dict[str, Any], Callable[..., Any] | None]] = {
     "fuzzy": ({}, None),
-    "constant": ({"schedule": "constant"}, None),
     "smooth": ({"schedule": "smooth"}, None),
     "believing": ({"schedule": "constant", "belief": "ramp"}, None),
     "kalman": ({"kind": "kalman", "vector_bias": "off"}, None),
