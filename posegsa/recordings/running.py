@@ -1,4 +1,4 @@
-"""Runs filters over measurements in parts of one size: one program, and bounded device memory."""
+"""Runs filters over recordings, in parts, so that device memory stays bounded."""
 
 from dataclasses import replace
 from functools import partial
@@ -7,7 +7,6 @@ from typing import Any, overload
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type, fitting, refuse
@@ -45,9 +44,8 @@ def run_filter(
 ) -> Estimates:
     """Run a filter over a sequence of measurements or a recording.
 
-    The time is linear in the number of samples. They are processed in parts of PART samples, so
-    that sequences of any length run one program, and the estimates are NumPy arrays. If something
-    is traced (in `jax.jit`, `jax.vmap` or `jax.grad`), all samples run at once.
+    The time is linear in the number of samples. A recording is processed in parts of PART samples,
+    and its estimates are NumPy arrays.
 
     Args:
         filter: e.g. `Observer(FuzzyGain(controller), settings, signal)`, or that of a tuned result,
@@ -75,12 +73,7 @@ def run_filter(
         measurements = measurements.at_least(dtype)
         dtype = jax.dtypes.canonicalize_dtype(measurements.time_step.dtype)
         widened = jax.tree.map(lambda a: jnp.asarray(a, dtype), initial)
-        traced = jax.tree.leaves((filter, measurements, widened))
-        if any(isinstance(leaf, Tracer) for leaf in traced):
-            return rollout.run_filter(filter, measurements, widened)
-        with fitting("run_filter"):
-            measurements = measurements.checked()
-            return _run_in_parts(filter, measurements, _times(measurements), widened)
+        return rollout.run_filter(filter, measurements, widened)
     check_filter("filter", filter)
     if isinstance(filter, Observer) and filter.signal.signal == "pose":
         raise ArgumentError('signal "pose" looks at the true pose; allowed: "measured"')
@@ -88,10 +81,7 @@ def run_filter(
     state = state_of(recording.initial()) if initial is None else initial
     check_type("initial", state, FilterState)
     with fitting("run_filter"):
-        found = _run_in_parts(filter, recording.measurements, recording.time, state)
-    if recording.attitude_only:
-        return found._replace(position=np.full_like(found.position, np.nan))
-    return found
+        return _run_in_parts(filter, recording, state)
 
 
 def as_seen(filter: Filter, recording: Recording) -> Recording:
@@ -121,27 +111,22 @@ def state_of(start: Start) -> FilterState:
     return initial_state(*(jnp.asarray(a) for a in start))
 
 
-def _times(measurements: Measurements) -> np.ndarray:
-    """Times (N,) since the first sample [s]."""
-    step = jnp.asarray(measurements.time_step)
-    return np.asarray(jnp.cumsum(step) - step)
-
-
-def _run_in_parts(
-    filter: Filter, measurements: Measurements, time: np.ndarray, initial: FilterState
-) -> Estimates:
-    count = len(time)
-    state = started(filter, initial, sensors_of(measurements))
+def _run_in_parts(filter: Filter, recording: Recording, initial: FilterState) -> Estimates:
+    count, measured = recording.samples, recording.measurements
+    state = started(filter, initial, sensors_of(measured))
     whole: Any = None
     for first in range(0, count, PART):
-        # The last part is padded with its last sample, and the results of the padding are cut off.
-        part = jax.tree.map(partial(_padded, first), (measurements, time))
+        # All parts of all recordings have one length, so that one program serves them: the last
+        # part is padded with its last sample, and the results of the padding are cut off.
+        part = jax.tree.map(partial(_padded, first), (measured, recording.time))
         state, found = _run_part(filter, *part, state)
         found = jax.device_get(found)
         if whole is None:
             whole = jax.tree.map(lambda a: np.empty((count, *a.shape[1:]), a.dtype), found)
         for to, of in zip(jax.tree.leaves(whole), jax.tree.leaves(found), strict=True):
             to[first : first + PART] = of[: count - first]
+    if recording.attitude_only:
+        return whole._replace(position=np.full_like(whole.position, np.nan))
     return whole
 
 
@@ -149,7 +134,7 @@ def _run_in_parts(
 def _run_part(
     filter: Filter, measurements: Measurements, time: ArrayLike, state: Any
 ) -> tuple[Any, Estimates]:
-    """The state after a part of the measurements, and the estimates over it."""
+    """The state after a part of a recording, and the estimates over it."""
     samples = samples_of(filter, measurements)
     return simulate_part(filter, samples._replace(time=jnp.asarray(time)), state)
 

@@ -132,29 +132,3 @@ def test_measurements_in_double_precision_run_in_that_of_jax(
     found = posegsa.run_filter(OBSERVER, recording.measurements, start)
     assert found.position.dtype == np.float32
     assert not [one for one in recwarn if "dtype" in str(one.message)]
-
-
-def test_sequences_of_any_length_run_one_program(recording: Recording) -> None:
-    start = running.state_of(recording.initial())
-    measured = Measurements.from_arrays(**recording.measurements._asdict())
-    whole = posegsa.run_filter(OBSERVER, measured, start)
-    compiled = running._run_part._cache_size()
-    for count in (1, 30, 170):
-        part = Measurements(*(np.asarray(a)[:count] for a in measured))
-        found = posegsa.run_filter(OBSERVER, part, start)
-        assert found.position.shape == (count, 3)
-        np.testing.assert_array_equal(found.rotation, whole.rotation[:count])
-    assert running._run_part._cache_size() == compiled
-
-
-def test_inside_a_transformation_it_is_one_jax_function(recording: Recording) -> None:
-    start = running.state_of(recording.initial())
-    measured = Measurements.from_arrays(**recording.measurements.at(slice(20))._asdict())
-
-    def last(gain: jax.Array) -> jax.Array:
-        return posegsa.run_filter(Observer(ConstantGain(gain)), measured, start).position[-1]
-
-    gains = jnp.asarray([2.0, 8.0])
-    one_by_one = np.stack([last(gain) for gain in gains])
-    np.testing.assert_allclose(jax.vmap(last)(gains), one_by_one, rtol=1e-4, atol=1e-5)
-    assert np.isfinite(jax.jacfwd(last)(gains[0])).all()
