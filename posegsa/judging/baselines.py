@@ -1,9 +1,8 @@
 """Baselines for a tuned filter: other filters, tuned on its training scenarios at its budget.
 
 Each schedule is searched with the run's optimiser and its number of evaluations. Differential
-evolution replaces an optimiser that uses gradients or can't be compiled. All numbers tuned in
-addition to k1..k22 are tuned for each baseline too, so it has the filter, signal and weights that
-suit it.
+evolution replaces an optimiser that uses gradients. All numbers tuned in addition to k1..k22 are
+tuned for each baseline too, so it has the filter, signal and weights that suit it.
 """
 
 from collections.abc import Callable, Mapping

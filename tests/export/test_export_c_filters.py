@@ -67,7 +67,7 @@ def kalman(vector_biases: bool) -> KalmanFilter:
 
 def iterated() -> KalmanFilter:
     """One that linearises twice and resets its covariance."""
-    return replace(kalman(False), iterations=2, reset="two frames")
+    return replace(kalman(True), iterations=2, reset="two frames")
 
 
 def scheduled(name: str, landmarks: int) -> Filter:
