@@ -55,7 +55,7 @@ def _names() -> str:
     from posegsa.optimisers.registry import OPTIMISERS
 
     return (
-        f"Optimisers, all without --optimisers: {','.join(OPTIMISERS)}. "
+        f"Optimisers (default: all): {','.join(OPTIMISERS)}. "
         f"Test functions: {', '.join(FUNCTIONS)}."
     )
 

@@ -65,7 +65,8 @@ def residuals(
     Args:
         estimate: before the sample, of the batch shape.
         covariance: of its errors. None treats the estimate as exact, and ignores the
-            measurements' weights, which for an observer also follow the sensors' rates.
+            sizes of the measurements' weights, which for an observer also follow the sensors'
+            rates.
         sample: with its vectors as measured.
         vector: standard deviation of each component of a vector, in its unit.
         landmark: standard deviation of each coordinate of a landmark [m].

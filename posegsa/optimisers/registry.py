@@ -21,4 +21,4 @@ _KINDS = (
 OPTIMISERS: dict[str, type[Optimiser]] = {
     kind.model_fields["optimiser"].default: kind for kind in _KINDS
 }
-"""Optimisers by name, the default first."""
+"""Optimisers by name, the paper's first."""

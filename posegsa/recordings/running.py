@@ -45,7 +45,8 @@ def run_filter(
     """Run a filter over a sequence of measurements or a recording.
 
     The time is linear in the number of samples. A recording is processed in parts of PART samples,
-    and its estimates are NumPy arrays.
+    the last one padded: recordings of any length run one program, but a short one takes as long as
+    PART samples. Its estimates are NumPy arrays.
 
     Args:
         filter: e.g. `Observer(FuzzyGain(controller), settings, signal)`, or that of a tuned result,

@@ -83,7 +83,7 @@ def by_the_clock() -> Filter:
         time, log_gain = jnp.asarray([0.0, 0.5, 0.5, 30.0]), jnp.asarray([4.0, 3.0, 1.0, 0.0])
         signal = NoiseSignal(*map(jnp.asarray, (0.1, 30.0, 0.1, 600.0)))
         clock = NoiseGains(KnotGain(time, log_gain))
-        return replace(kalman(False), schedule=clock, signals=NoiseSignals(signal, signal))
+        return replace(kalman(True), schedule=clock, signals=NoiseSignals(signal, signal))
 
 
 def led() -> Filter:

@@ -29,6 +29,7 @@ from posegsa.judging.evaluation import (
     CONTENDERS,
     EKF,
     EKF_GATED,
+    EKF_ITERATED,
     NOT_TUNED,
     REPLAYED,
     SMOOTH,
@@ -47,7 +48,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
 
 FILE = Path("evaluation")
-SEARCHED = (EKF, EKF_GATED)
+SEARCHED = (EKF, EKF_ITERATED, EKF_GATED)
 """The Kalman filters that are searched here; each of the others takes as long, by the same way."""
 EVERY = tuple(name for name in CONTENDERS if name != AS_CONFIGURED)
 """The contenders of a fuzzy gain, which has no numbers but those that are searched."""

@@ -64,9 +64,8 @@ VALUES = (
     [1],
     {"a": 1},
 )
-DRAWN, DRAWN_OF_FEW = 2, 5
-"""Values that each field is given: many fields are of one type, which meets all of them; some are
-of a type that few have."""
+DRAWN = 2
+"""Values that each field of a type that many have is given: together they meet all of them."""
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +139,7 @@ def paths(data: Any, before: tuple = ()) -> Iterator[tuple]:
             yield from paths(value, (*before, key))
 
 
-def some(values: tuple, place: object, count: int) -> list:
+def some(values: tuple, place: object, count: int = DRAWN) -> list:
     """A few of the values: random, the same in every run, and different for each place."""
     rng = np.random.default_rng(zlib.crc32(repr(place).encode()))
     return [values[i] for i in rng.permutation(len(values))[:count]]
@@ -156,8 +155,7 @@ def alterations(data: Any, path: tuple) -> Iterator[str]:
     cut = (own[:-1], [*own, *own[-1:]], [*own, "x"]) if isinstance(own, list) else ()
     own_kind = len(path) <= 2 or "filter" in path  # few of them are of the same type
     own_kind = own_kind or (len(path) == 3 and path[1] in ("endurance", "trust"))
-    drawn = some(VALUES, path, DRAWN_OF_FEW if own_kind else DRAWN)
-    for value in (*drawn, *cut):
+    for value in (*(VALUES if own_kind else some(VALUES, path)), *cut):
         if value != own or type(value) is not type(own):
             parent[name] = value
             yield sealed(data)
