@@ -55,7 +55,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial, reduce
-from typing import Any, Literal, NamedTuple, Self, TypeVar, cast
+from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -268,6 +268,7 @@ class AttitudeState(NamedTuple):
 class AttitudeFilter:
     """The attitude filter for inertial sensors (`filters.base.Filter`)."""
 
+    elementwise: ClassVar[bool] = True
     numbers: AttitudeNumbers
     """Its numbers."""
     gyroscope_interval: Interval = field(default="before", metadata={"static": True})

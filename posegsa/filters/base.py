@@ -92,7 +92,12 @@ class ReadyFilter(Protocol):
 
 @runtime_checkable
 class Filter(Protocol):
-    """A filter: a registered pytree (`jax.tree_util.register_dataclass`) with these functions."""
+    """A filter: a registered pytree (`jax.tree_util.register_dataclass`) with these functions.
+
+    A class may say `elementwise: ClassVar[bool] = True`: its `step` and `estimate` work on
+    components of any common shape, not only on scalars. Then many simulations need no `vmap`, which
+    takes longer to trace than the step itself. `posegsa.filters` are like that.
+    """
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same filter with some of its numbers replaced, by name (pure).

@@ -5,15 +5,15 @@ the noise of each sensor at each sample, each burst (it drops that measurement),
 each jump of the body (its velocity includes the jump). A real filter can hardly have a lower cost.
 
 It is the Kalman filter of `filters.kalman`. Its `noise` has the deviations of the start and the
-biases' walks; `vector` and `landmark` are 1, since the weights of its measurements are inverse
-variances (`model.events`). A jump exp(xi^) follows the velocity of its sample:
+walk of the vectors' biases; `vector` and `landmark` are 1, since the weights of its measurements
+are inverse variances (`model.events`). A jump exp(xi^) follows the velocity of its sample:
 
     T_est <- T_est exp(xi^),    Sigma <- A Sigma A^T,    A = Ad(exp(-xi^)).
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self, cast
+from typing import ClassVar, NamedTuple, Self, cast
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,10 @@ class KnownMotion(NamedTuple):
     """Density of the angular velocity's noise [rad/sqrt(s)]."""
     velocity: Array
     """Density of the velocity's noise [m/sqrt(s)]."""
+    angular_walk: Array
+    """Random walk of the angular velocity's bias [rad/s/sqrt(s)]."""
+    linear_walk: Array
+    """Random walk of the velocity's bias [m/s/sqrt(s)]."""
     jump: tuple[Vec3, Vec3] | None
     """Rotation [rad] and displacement [m] of the jump to the next sample, xi of T <- T exp(xi^);
     None if the body never jumps."""
@@ -54,12 +58,13 @@ class ClairvoyantSamples(NamedTuple):
     known: KnownMotion
 
 
-def with_events(samples: Samples, events: Events, *, jumps: bool) -> Samples:
+def with_events(samples: Samples, events: Events, walk: Array, *, jumps: bool) -> Samples:
     """The clairvoyant's input: samples of weighted measurements, and what it knows besides.
 
     Args:
         samples: N samples, prepared from `events.weighted(measurements)`.
         events: the events of the same N samples.
+        walk: (6,) random walks of the velocities' biases, as in `Scenario.bias_drift`.
         jumps: whether the body ever jumps; without jumps a step takes half as long.
     """
     root = jnp.sqrt(samples.sample.time_step)
@@ -67,6 +72,8 @@ def with_events(samples: Samples, events: Events, *, jumps: bool) -> Samples:
     known = KnownMotion(
         angular_velocity=events.angular_noise * root,
         velocity=events.linear_noise * root,
+        angular_walk=jnp.full_like(root, walk[0]),
+        linear_walk=jnp.full_like(root, walk[3]),
         jump=((tx, ty, tz), (x, y, z)) if jumps else None,
     )
     # The loop passes each sample on unchanged; only this filter reads the additional field.
@@ -78,9 +85,10 @@ def with_events(samples: Samples, events: Events, *, jumps: bool) -> Samples:
 class Clairvoyant:
     """The Kalman filter that knows everything (`filters.base.Filter`, with input `with_events`)."""
 
+    elementwise: ClassVar[bool] = True
     noise: KalmanNoise
-    """Deviations at the start and walks of the biases; `vector` and `landmark` are 1, the noises of
-    the velocities are not used."""
+    """Deviations at the start and the walk of the vectors' biases; `vector` and `landmark` are 1,
+    and those of `KnownMotion` are not used."""
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same with some deviations replaced, by their names in `KalmanNoise`."""
@@ -102,7 +110,10 @@ class Clairvoyant:
         """One sample: update, propagation by the velocities, and the jump, if there is one."""
         known = cast(ClairvoyantSamples, now).known
         noise = self.noise._replace(
-            angular_velocity=known.angular_velocity, velocity=known.velocity
+            angular_velocity=known.angular_velocity,
+            velocity=known.velocity,
+            angular_walk=known.angular_walk,
+            linear_walk=known.linear_walk,
         )
         updated, found = update(state, now.sample, noise)
         moved = propagate(updated, (), now.sample, noise)

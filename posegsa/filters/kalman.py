@@ -63,7 +63,7 @@ and 634, with the sensors' true noise 188 and 629.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -113,7 +113,7 @@ from posegsa.filters.noise_schedules import (
     noise_factor,
 )
 from posegsa.filters.uncertainty import PoseCovariance
-from posegsa.model.elementwise import maximum
+from posegsa.model.elementwise import choose, maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import LandmarkSample, Sample, prepare
@@ -199,6 +199,7 @@ class KalmanState(NamedTuple):
 class KalmanFilter:
     """The invariant extended Kalman filter (`filters.base.Filter`)."""
 
+    elementwise: ClassVar[bool] = True
     noise: KalmanNoise
     """Assumed noise of its sensors and its initial estimate."""
     vector_biases: bool = field(default=True, metadata={"static": True})
@@ -420,7 +421,7 @@ def update(
         ArgumentError: The sample holds only Wahba's sums of its vectors.
     """
     before, covariance = state.estimate, state.covariance
-    count, zero = len(covariance), jnp.zeros_like(before.place[0])
+    count, zero = len(covariance), choose(True, jnp.zeros_like(before.place[0]), before.place[0])
     nothing = Found(covariance, (zero,) * count, nis=zero, scalars=zero)
     first = found = _linear_update(before, nothing, sample, noise)
     estimate = _corrected(before, found.correction)

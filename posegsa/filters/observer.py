@@ -81,7 +81,7 @@ of either sign. That the pose and all biases converge without noise is shown by 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any, Literal, NamedTuple, Self, cast
+from typing import Any, ClassVar, Literal, NamedTuple, Self, cast
 
 import jax
 import jax.numpy as jnp
@@ -576,6 +576,7 @@ class ReadyObserver(NamedTuple):
 class Observer:
     """The observer with its gain schedule: the paper's filter (`filters.base.Filter`)."""
 
+    elementwise: ClassVar[bool] = True
     schedule: GainSchedule | ObserverGains | None
     """Sets the gain K at each sample, with or without belief; None until a search has chosen it."""
     settings: FilterSettings = field(default_factory=FilterSettings)

@@ -180,7 +180,8 @@ def run(
         state: state of the filter before the first sample.
         count: number of samples to use; later ones change nothing. By default all are used.
         together: whether samples and state belong to S simulations; then all leaves have one more
-            axis (S, ...) in front.
+            axis (S, ...) in front, and `look` stores a pair: what is kept of each simulation and
+            what is kept of the first one only.
         extra: leaves (N,), passed to `look` sample by sample.
         total: the sum before the first sample.
 
@@ -200,11 +201,16 @@ def run(
 
     carry = (state, total)
     if together:
-        (last, total), stored = scan_together(body, carry, (samples, extra), count)
+        step = body if _elementwise(filter) else jax.vmap(body)
+        (last, total), stored = scan_together(step, carry, (samples, extra), count)
     else:
         carry = batched_alike(carry, (filter, samples))
         (last, total), stored = scan_rows(body, carry, (samples, extra), count)
     return last, total, stored
+
+
+def _elementwise(filter: Filter) -> bool:
+    return getattr(filter, "elementwise", False)
 
 
 def simulate_cost(
@@ -266,14 +272,14 @@ def simulate(filter: Filter, samples: Samples, initial: FilterState) -> Estimate
     """The estimates of one simulation over all its samples."""
     state = started(filter, initial, sensors_in(samples))
     _, _, stored = run(_everything, filter, samples, state)
-    return _estimates(samples, stored)
+    return _estimates(samples.time, stored)
 
 
 @jax.jit
 def simulate_part(filter: Filter, samples: Samples, state: Any) -> tuple[Any, Estimates]:
     """The estimates over a part of a sequence, and the state before the next part."""
     last, _, stored = run(_everything, filter, samples, state)
-    return last, _estimates(samples, stored)
+    return last, _estimates(samples.time, stored)
 
 
 def _everything(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[()], View]:
@@ -281,16 +287,16 @@ def _everything(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[(
     return total, view._replace(now=())
 
 
-def _estimates(samples: Samples, stored: View) -> Estimates:
+def _estimates(time: Array, stored: View) -> Estimates:
     states, covariance = stored.estimate, stored.covariance
     heading, inclination = stored.deviations or (None, None)
     of_gain = {
-        name: jnp.full_like(samples.time, jnp.nan) if values is None else values
+        name: jnp.full_like(time, jnp.nan) if values is None else values
         for name, values in stored.record._asdict().items()
         if name in Estimates._fields and name != "nis"
     }
     return Estimates(
-        time=samples.time,
+        time=time,
         rotation=states.rotation,
         position=states.position,
         bias=states.bias,
@@ -319,7 +325,7 @@ def simulate_errors(filter: Filter, samples: Samples, initial: FilterState) -> E
 
 def simulate_errors_together(
     filter: Filter, samples: Samples, states: Any, count: Array
-) -> tuple[Any, ErrorTrack]:
+) -> tuple[Any, ErrorTrack, Estimates]:
     """The true errors of S simulations, all leaves (S, ...) (pure, jittable).
 
     Args:
@@ -330,11 +336,17 @@ def simulate_errors_together(
             meaningless. So sequences of any length can be padded and run by one program.
 
     Returns:
-        The states after the last sample, and the errors.
+        The states after the last sample, the errors, and the estimates of the first simulation.
     """
-    last, _, errors = run(_true_errors, filter, samples, states, count=count, together=True)
-    estimates = jax.vmap(partial(estimated, filter.ready()))(last)
-    return last, _error_track(samples, estimates, errors)
+
+    def look(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[()], Any]:
+        return total, (_true_errors(total, view, entry)[1], _everything(total, view, entry)[1])
+
+    last, _, stored = run(look, filter, samples, states, count=count, together=True)
+    errors, of_first = stored
+    estimate = partial(estimated, filter.ready())
+    ends = (estimate if _elementwise(filter) else jax.vmap(estimate))(last)
+    return last, _error_track(samples, ends, errors), _estimates(samples.time[0], of_first)
 
 
 def _true_errors(total: tuple[()], view: View, entry: tuple[()]) -> tuple[tuple[()], Any]:

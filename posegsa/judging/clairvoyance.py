@@ -1,30 +1,28 @@
 """Costs of the clairvoyant, the reference for filters on the same drawn scenarios."""
 
-from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.random import wrap_key_data
 
 from posegsa import config
-from posegsa.arguments import refuse
-from posegsa.filters.base import samples_of
+from posegsa.filters.base import Filter, samples_of
 from posegsa.filters.clairvoyant import Clairvoyant, with_events
 from posegsa.filters.kalman import KalmanNoise
-from posegsa.filters.rollout import simulate_cost
+from posegsa.judging.metrics import cost_parts, error_tracks
 from posegsa.judging.untuned import bias_spread
-from posegsa.model.cost import CostWeights
 from posegsa.model.estimate import initial_state
 from posegsa.model.events import events_of
-from posegsa.model.family import Family, realise
 from posegsa.model.first_pose import first_pose, waiting_until
-from posegsa.model.scenario import Scenario
-from posegsa.search.drawn_scenarios import cost_weights, family, scenario
+from posegsa.model.scenario import Scenario, Sensed, Truth
+from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import cost_weights, drawing
 from posegsa.search.groups import in_groups, padded
-from posegsa.search.keys import GENERATOR, held_out_keys
+from posegsa.search.keys import held_out_keys
+from posegsa.search.population import ScenarioBatch
 
 INITIAL_DEVIATION = 1e-3
 """Deviation of its initial pose about and along each axis [rad], [m]: small, but not 0."""
@@ -44,25 +42,25 @@ def clairvoyant_costs(experiment: config.Experiment, keys: Array | None = None) 
     Raises:
         ArgumentError: There are no keys, or they belong to another generator.
     """
-    run = experiment.run
+    run, c = experiment.run, experiment.scenario
     keys = held_out_keys(run.seed, run.held_out_scenarios) if keys is None else keys
-    words, count = np.asarray(jax.random.key_data(keys)), len(keys)
-    if words.shape != (count, 2) or not count:
-        refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
-    dtype = jnp.dtype(run.dtype)
-    one = scenario(experiment)
-    longer, drawn_from = replace(one, samples=padded(one.samples)), family(experiment, dtype)
-    weights = cost_weights(experiment.cost, one.samples, dtype)
-    prior, start = _prior(experiment), experiment.scenario.start
+    draw, filter = drawing(experiment, keys), _prior(experiment)
+    weights = cost_weights(experiment.cost, c.samples, jnp.dtype(run.dtype))
 
-    def some(index: np.ndarray) -> Array:
-        return _costs(longer, drawn_from, prior, weights, words[index], start)
+    def some(index: np.ndarray) -> np.ndarray:
+        made: dict[str, Any] = jax.device_get(_made_ready(filter, *draw(index), c.start))
+        samples = jax.tree.map(lambda a: a[:, : c.samples], made.pop("samples"))
+        batch = ScenarioBatch(samples, **made, weights=weights, filter=filter)
+        if experiment.family.duration == "off":
+            batch = batch._replace(end=None)
+        transient, steady = cost_parts(error_tracks(Candidate(), batch), batch)
+        return transient + steady
 
-    return in_groups(some, count, longer.samples)
+    return in_groups(some, len(keys), padded(c.samples))
 
 
 def _prior(experiment: config.Experiment) -> Clairvoyant:
-    """The clairvoyant with the spread of an experiment's biases; each scenario sets the rest."""
+    """The clairvoyant with the spread of an experiment's biases; its samples hold the rest."""
     dtype, spread = np.dtype(experiment.run.dtype), bias_spread(experiment)
     numbers = dict.fromkeys(KalmanNoise._fields, 0.0) | {
         "vector": 1.0,
@@ -78,38 +76,32 @@ def _prior(experiment: config.Experiment) -> Clairvoyant:
 
 
 @partial(jax.jit, static_argnames="start")
-def _costs(
-    scenario: Scenario,
-    family: Family,
-    prior: Clairvoyant,
-    weights: CostWeights,
-    keys: Array,
-    start: str,
-) -> Array:
-    """Costs (S,) for key data (S, 2), over as many samples as there are weights."""
-    N = weights.transient.shape[0]
+def _made_ready(
+    filter: Filter, drawn: Scenario, truth: Truth, sensed: Sensed, start: str
+) -> dict[str, Any]:
+    """Fields of a `ScenarioBatch` of drawn scenarios, for the clairvoyant."""
 
-    def cost(key: Array) -> Array:
-        drawn, truth, sensed = realise(scenario, family, wrap_key_data(key, impl=GENERATOR))
+    def one(drawn: Scenario, truth: Truth, sensed: Sensed) -> dict[str, Any]:
         events, measured = events_of(drawn), sensed.measurements
         begin, first = None, 0
         if start != "given":
             found = first_pose(measured)
             measured = waiting_until(measured, found.sample)
-            waits = jnp.arange(scenario.samples, dtype=jnp.int32)[:, None] < found.sample
+            waits = jnp.arange(drawn.samples, dtype=jnp.int32)[:, None] < found.sample
             events = events._replace(jumps=jnp.where(waits, 0, events.jumps))
-            begin = found.sample.astype(truth.time.dtype) * scenario.time_step
-            first = jnp.minimum(found.sample, scenario.samples - 1)
-        walk = drawn.bias_drift
-        filter = prior.with_values({"angular_walk": walk[0], "linear_walk": walk[3]})
+            begin = found.sample.astype(truth.time.dtype) * drawn.time_step
+            first = jnp.minimum(found.sample, drawn.samples - 1)
         samples = samples_of(
             filter, events.weighted(measured), truth.rotation, truth.position, truth.time
         )
-        samples = with_events(samples, events, jumps=bool(drawn.jumps.time.size))
-        samples = jax.tree.map(lambda a: a[:N], samples)
-        initial = initial_state(truth.rotation[first], truth.position[first])
-        end = None if family.duration is None else drawn.end
-        counted = weights.between(samples.time, begin, end)
-        return simulate_cost(filter, samples, initial, counted).total
+        jumps = bool(drawn.jumps.time.size)
+        return {
+            "samples": with_events(samples, events, drawn.bias_drift, jumps=jumps),
+            "initial": initial_state(truth.rotation[first], truth.position[first]),
+            "bias": sensed.bias[-1],
+            "vector_bias": drawn.vector_bias,
+            "begin": begin,
+            "end": drawn.end,
+        }
 
-    return jax.vmap(cost)(keys)
+    return jax.vmap(one)(drawn, truth, sensed)

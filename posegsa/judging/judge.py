@@ -172,8 +172,6 @@ def on_scenarios(
     experiment, scenarios = problem.experiment, problem.simulated
     known = known or in_background(partial(references, problem))
     count = experiment.run.training_scenarios
-    first_unseen = count
-    one_run = in_background(partial(trajectory_on, tuned, scenarios, first_unseen))
     precision = in_background(partial(trust.other_precision, problem, tuned))
     _begin("the filter to compare with")
     name, other, evaluations = _beside(problem, tuned)
@@ -201,7 +199,7 @@ def on_scenarios(
     _begin("references")
     untuned, clairvoyant = known()
     _begin("one run")
-    trajectory = one_run()
+    trajectory = trajectory_on(tuned, scenarios, count)  # the first held-out scenario
     _begin("trust")
     return OnScenarios(
         training=training,

@@ -1,5 +1,6 @@
 """Metrics of a filter on each of many scenarios: cost, settling, steady state, bias."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any, NamedTuple
 
@@ -9,10 +10,10 @@ import numpy as np
 
 from posegsa.filters.base import Filter, Sensors, sensors_in
 from posegsa.filters.calls import started
-from posegsa.filters.rollout import ErrorTrack, simulate_errors_together
+from posegsa.filters.rollout import ErrorTrack, Estimates, simulate_errors_together
 from posegsa.model.estimate import FilterState
 from posegsa.search.candidates import Candidate
-from posegsa.search.groups import LENGTH, SCENARIOS, in_groups, padded
+from posegsa.search.groups import LENGTH, SCENARIOS, group_size, in_groups, padded
 from posegsa.search.population import ScenarioBatch, TrackCost
 from posegsa.settings.arrays import Numbers
 
@@ -86,31 +87,50 @@ class Bands(NamedTuple):
 
 
 def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
-    """A candidate's errors on all S scenarios of a batch; on the host, leaves (S, ...).
+    """A candidate's errors on all S scenarios of a batch; on the host, leaves (S, ...)."""
+    count, samples = batch.samples.time.shape
+    run = _in_parts(candidate, batch)
+    # Groups keep their full size for long scenarios too, as only errors are held over the length.
+    return in_groups(lambda index: run(index)[0], count, padded(samples) // SCENARIOS)
+
+
+def estimates_on(candidate: Candidate, batch: ScenarioBatch, scenario: int) -> Estimates:
+    """A candidate's estimates on one scenario of a batch, by the program of `error_tracks`."""
+    samples = batch.samples.time.shape[1]
+    size = group_size(padded(samples) // SCENARIOS)
+    return _in_parts(candidate, batch)(np.full(size, scenario))[1]
+
+
+def _in_parts(
+    candidate: Candidate, batch: ScenarioBatch
+) -> Callable[[np.ndarray], tuple[ErrorTrack, Estimates]]:
+    """Run a candidate on scenarios by number: their errors, and the estimates on the first.
 
     They are run LENGTH samples at a time, so that scenarios of any duration share one program.
     """
-    count, samples = batch.samples.time.shape
     # All on the host: JAX compiles a program again for arrays on another device.
     batch = jax.tree.map(np.asarray, batch)
     # Applied here: filters of one kind share a program, whichever numbers were tuned.
     filter = jax.tree.map(np.asarray, candidate.applied(batch.filter))
     sensors = sensors_in(batch.samples)
 
-    def some(index: np.ndarray) -> ErrorTrack:
+    def some(index: np.ndarray) -> tuple[ErrorTrack, Estimates]:
         chosen = batch.select(index)
-        state, parts = _started(filter, chosen.initial, sensors), []
+        state, tracks, estimates = _started(filter, chosen.initial, sensors), [], []
+        samples = chosen.samples.time.shape[1]
         for first in range(0, samples, LENGTH):
             part = jax.tree.map(lambda a, i=first: a[:, i : i + LENGTH], chosen.samples)
             lacking = LENGTH - part.time.shape[1]
             part = jax.tree.map(lambda a, n=lacking: np.pad(a, [(0, 0), (0, n)], mode="edge"), part)
-            given = np.int32(LENGTH - lacking)
-            state, track = _tracks(filter, part, state, given)
-            parts.append(jax.device_get(track).until(int(given)))
-        return ErrorTrack.joined(parts)
+            given = LENGTH - lacking
+            state, *found = _tracks(filter, part, state, np.int32(given))
+            track, estimate = jax.device_get(found)
+            tracks.append(track.until(given))
+            estimates.append(jax.tree.map(lambda a, n=given: a[:n], estimate))
+        whole = jax.tree.map(lambda *leaves: np.concatenate(leaves), *estimates)
+        return ErrorTrack.joined(tracks), whole
 
-    # Groups keep their full size for long scenarios too, as only errors are held over the length.
-    return in_groups(some, count, padded(samples) // SCENARIOS)
+    return some
 
 
 @partial(jax.jit, static_argnames="sensors")
@@ -120,6 +140,27 @@ def _started(filter: Filter, initial: FilterState, sensors: Sensors) -> Any:
 
 
 _tracks = jax.jit(simulate_errors_together)
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def cost_parts(tracks: ErrorTrack, batch: ScenarioBatch) -> tuple[np.ndarray, np.ndarray]:
+    """The transient and the steady-state part (S,) of the configured cost."""
+    attitude, position = (np.asarray(a, np.float64) for a in (tracks.attitude, tracks.position))
+    error = np.where(_counted(batch)[1], attitude + float(batch.weights.position) * position, 0)
+    transient, steady = (
+        np.sum(np.asarray(weight, np.float64) * error, axis=1)
+        for weight in (batch.weights.transient, batch.weights.steady)
+    )
+    return transient, steady
+
+
+def _counted(batch: ScenarioBatch) -> tuple[np.ndarray | float, np.ndarray]:
+    """The end (S, 1) of each scenario [s], and which samples (S, N) count."""
+    time = np.asarray(batch.samples.time[0], np.float64)
+    begin = 0.0 if batch.begin is None else np.asarray(batch.begin, np.float64)[:, None]
+    end = np.inf if batch.end is None else np.asarray(batch.end, np.float64)[:, None]
+    count = len(batch.samples.time)
+    return end, np.broadcast_to((time >= begin) & (time < end), (count, len(time)))
 
 
 @np.errstate(invalid="ignore", over="ignore")  # runs may diverge; `diverged` says so
@@ -140,14 +181,9 @@ def metrics_of(
         for leaf in (tracks.nees, tracks.nis)
     )
     angle = np.degrees(2 * np.arcsin(np.sqrt(attitude)))
-    error = attitude + float(batch.weights.position) * position
-    end = np.inf if batch.end is None else np.asarray(batch.end, np.float64)[:, None]
-    begin = np.zeros(len(error)) if batch.begin is None else np.asarray(batch.begin, np.float64)
-    counts = (time >= begin[:, None]) & (time < end)
-    transient, steady = (
-        np.sum(np.asarray(weight, np.float64) * np.where(counts, error, 0), axis=1)
-        for weight in (batch.weights.transient, batch.weights.steady)
-    )
+    begin = np.zeros(len(angle)) if batch.begin is None else np.asarray(batch.begin, np.float64)
+    end, counts = _counted(batch)
+    transient, steady = cost_parts(tracks, batch)
     total = transient + steady
     if cost is not None:
         given = jax.tree.map(jnp.asarray, (tracks, batch.samples.time, batch.begin))

@@ -10,9 +10,8 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from posegsa.filters.base import Filter, Samples
-from posegsa.filters.rollout import Estimates, simulate
-from posegsa.model.estimate import FilterState
+from posegsa.filters.rollout import Estimates
+from posegsa.judging.metrics import estimates_on
 from posegsa.model.se3 import (
     attitude_distance,
     clip_distance,
@@ -25,6 +24,7 @@ from posegsa.model.se3 import (
     stack,
     unstack,
 )
+from posegsa.model.signal import TruePose
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Columns
@@ -109,34 +109,27 @@ def trajectory(
         estimates: A filter's estimates at the same N samples.
         vector_bias: (n, 3) true biases of the vectors, body frame.
     """
-    return _in_float64(_values(rotation, position, estimates, vector_bias))
-
-
-def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Trajectory:
-    """The trajectory of a candidate on one scenario of a batch."""
-    samples, initial, vector_bias = jax.tree.map(
-        lambda a: np.asarray(a)[index], (batch.samples, batch.initial, batch.vector_bias)
-    )
-    filter = jax.tree.map(np.asarray, candidate.applied(batch.filter))
-    return _in_float64(_run(filter, samples, initial, vector_bias))
-
-
-def _in_float64(values: dict[str, Array]) -> Trajectory:
+    values = _values(rotation, position, estimates, vector_bias)
     return Trajectory(
         **{name: decimal(np.asarray(value)).astype(np.float64) for name, value in values.items()}
     )
 
 
+def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Trajectory:
+    """The trajectory of a candidate on one scenario of a batch."""
+    truth, vector_bias = jax.tree.map(
+        lambda a: np.asarray(a)[index], (batch.samples.truth, batch.vector_bias)
+    )
+    R, P = _pose(truth)
+    return trajectory(R, P, estimates_on(candidate, batch, index), vector_bias)
+
+
 @jax.jit
-def _run(
-    filter: Filter, samples: Samples, initial: FilterState, vector_bias: Array
-) -> dict[str, Array]:
-    estimates = simulate(filter, samples, initial)
-    assert samples.truth is not None
-    R = rotation_matrix(stack(samples.truth.attitude))
+def _pose(truth: TruePose) -> tuple[Array, Array]:
+    """True R (N, 3, 3) and P (N, 3) [m], inertial frame."""
+    R = rotation_matrix(stack(truth.attitude))
     # The simulation stores P as R^T P, in the body frame.
-    P = jnp.einsum("nij,nj->ni", R, stack(samples.truth.origin), precision="highest")
-    return _values(R, P, estimates, vector_bias)
+    return R, jnp.einsum("nij,nj->ni", R, stack(truth.origin), precision="highest")
 
 
 @jax.jit

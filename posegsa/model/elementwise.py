@@ -7,8 +7,10 @@ that JAX traces at each call.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -37,8 +39,10 @@ def maximum(a: Array, b: ArrayLike) -> Array:
 def only_if(condition: Array, change: Callable[[T], T], carry: T) -> T:
     """A carry, changed where the condition holds; else the change is not computed.
 
-    Under `vmap` over the condition it is computed for all, and chosen. Exported C has an `if`.
+    For a condition of many it is computed for all, and chosen. Exported C has an `if`.
     """
+    if jnp.ndim(condition):
+        return jax.tree.map(partial(choose, condition), change(carry), carry)
     return lax.cond(condition, change, lambda unchanged: unchanged, carry)
 
 

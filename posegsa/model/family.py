@@ -318,7 +318,6 @@ def _jumps(one: Displacements, key: Array) -> Jumps:
     return Jumps(time, stack((tx, ty, tz, *velocity_to((tx, ty, tz), (x, y, z)))))
 
 
-@partial(jax.jit, inline=True)  # traced once for all that use the same scenarios
 def realise(scenario: Scenario, family: Family, key: Array) -> tuple[Scenario, Truth, Sensed]:
     """One scenario of a family with its true motion and its measurements (pure, jittable)."""
     of_family, of_noise = random.split(key)

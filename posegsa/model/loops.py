@@ -31,36 +31,45 @@ def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -
     rows = jnp.stack(leaves, axis=-1)
 
     def on_row(carry: Any, row: Array) -> tuple[Any, Any]:
-        return step(carry, jax.tree.unflatten(structure, [row[i] for i in range(len(leaves))]))
+        return step(carry, jax.tree.unflatten(structure, _along(row, 0)))
 
     return scan(on_row, start, rows, count)
 
 
 def scan_together(
     step: Step, start: Any, inputs: Any, count: Array | None = None
-) -> tuple[Any, Any]:
+) -> tuple[Any, tuple[Any, Any]]:
     """`scan_rows` of S simulations at once: inputs have leaves (S, N), the carry (S, ...).
 
-    `step` handles one simulation and stores at least one number, all of one dtype; the stored
-    leaves are (S, N). `vmap` of `scan_rows` gives the same results three times slower on CPUs: it
-    lays the n numbers of a step out as (S, n), so that one number of all simulations is not
-    contiguous. Here the layout is (n, S).
+    `step` handles one sample of all simulations, leaves (S,). It stores a pair: numbers of each
+    simulation and numbers that are kept of the first one only; each of them has leaves (S,) of one
+    dtype, at least one. They are returned as leaves (S, N) and (N,). `vmap` of `scan_rows` gives
+    the same results three times slower on CPUs: it lays the n numbers of a step out as (S, n), so
+    that one number of all simulations is not contiguous. Here the layout is (n, S).
     """
     step = jax.jit(step)  # traced once, for its shapes and for the loop; XLA inlines it
     leaves, structure = jax.tree.flatten(inputs)
     rows = jnp.stack([leaf.T for leaf in leaves], axis=1)
 
-    def on_row(carry: Any, row: Array) -> tuple[Any, Any]:
-        return step(carry, jax.tree.unflatten(structure, [row[i] for i in range(len(leaves))]))
+    def on_rows(carry: Any, rows: Array) -> tuple[Any, Any]:
+        after, (each, of_first) = step(carry, jax.tree.unflatten(structure, _along(rows, 0)))
+        first = [leaf[0] for leaf in jax.tree.leaves(of_first)]
+        return after, (jnp.stack(jax.tree.leaves(each)), jnp.stack(first))
 
-    def on_rows(carries: Any, rows: Array) -> tuple[Any, Array]:
-        after, stored = jax.vmap(on_row, in_axes=(0, 1))(carries, rows)
-        return after, jnp.stack(jax.tree.leaves(stored))
-
-    _, what = jax.eval_shape(jax.vmap(on_row, in_axes=(0, 1)), start, rows[0])
+    one = jax.tree.unflatten(structure, _along(rows[0], 0))
+    _, what = jax.eval_shape(step, start, one)
     last, stored = scan(on_rows, start, rows, count, LONGEST_TOGETHER)
-    each = [stored[:, i].T for i in range(stored.shape[1])]
-    return last, jax.tree.unflatten(jax.tree.structure(what), each)
+    each, of_first = (
+        jax.tree.unflatten(jax.tree.structure(tree), _along(numbers, 1))
+        for tree, numbers in zip(what, stored, strict=True)
+    )
+    return last, (jax.tree.map(jnp.transpose, each), of_first)
+
+
+def _along(a: Array, axis: int) -> list[Array]:
+    """The parts of an array along an axis, one by one."""
+    count = a.shape[axis]
+    return [lax.index_in_dim(a, i, axis, keepdims=False) for i in range(count)]
 
 
 def scan(

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from posegsa.model.family import (
     realise,
 )
 from posegsa.model.first_pose import bias_at_rest, first_pose, waiting_until
-from posegsa.model.scenario import Bursts, Jumps, NoiseJumps, Scenario, Sines
+from posegsa.model.scenario import Bursts, Jumps, NoiseJumps, Scenario, Sensed, Sines, Truth
 from posegsa.model.se3 import project_rotation
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.groups import in_groups, padded
@@ -75,22 +75,14 @@ def scenario_batch(
         PosegsaWarning: The start waits for a pose that no sample of a scenario fixes; not if
             `quiet`.
     """
-    dtype = jnp.dtype(experiment.run.dtype)
-    filter, drawn_from = filter or filter_of(experiment), family(experiment, dtype)
-    words, count = np.asarray(jax.random.key_data(keys)), len(keys)
-    if words.shape != (count, 2) or not count:
-        refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
-    one = scenario(experiment)
-    samples = one.samples
-    longer = replace(one, samples=padded(samples))
-
-    start = experiment.scenario.start
+    filter, samples = filter or filter_of(experiment), experiment.scenario.samples
+    draw, start = drawing(experiment, keys), experiment.scenario.start
 
     def some(index: np.ndarray) -> dict[str, Any]:
-        made = _drawn(longer, drawn_from, filter, words[index], np.int32(samples - 1), start)
+        made = _made_ready(filter, *draw(index), np.int32(samples - 1), start)
         return made | {"samples": jax.tree.map(lambda a: a[:, :samples], made["samples"])}
 
-    drawn = in_groups(some, count, longer.samples)
+    drawn = in_groups(some, len(keys), padded(samples))
     if experiment.family.duration == "off":
         drawn["end"] = None
     if start == "given":
@@ -99,24 +91,48 @@ def scenario_batch(
         never := int(np.sum(drawn["begin"] > (samples - 0.5) * experiment.scenario.sampling_time))
     ):
         warnings.warn(
-            f"scenario.start = {start!r}: in {never} of {count} scenarios no sample fixes a pose; "
-            "nothing is estimated there and nothing counts",
+            f"scenario.start = {start!r}: in {never} of {len(keys)} scenarios no sample fixes a "
+            "pose; nothing is estimated there and nothing counts",
             PosegsaWarning,
             stacklevel=2,
         )
-    return ScenarioBatch(
-        **drawn, weights=cost_weights(experiment.cost, samples, dtype), filter=filter
-    )
+    weights = cost_weights(experiment.cost, samples, jnp.dtype(experiment.run.dtype))
+    return ScenarioBatch(**drawn, weights=weights, filter=filter)
+
+
+Drawn: TypeAlias = tuple[Scenario, Truth, Sensed]
+"""S scenarios with their true motion and their measurements, leaves (S, ...)."""
+
+
+def drawing(experiment: config.Experiment, keys: Array) -> Callable[[np.ndarray], Drawn]:
+    """A function that draws some of an experiment's scenarios, by their numbers.
+
+    They have a `padded` number of samples, so that scenarios of similar duration share a program.
+
+    Raises:
+        ArgumentError: There are no keys, or they belong to another generator.
+    """
+    words, count = np.asarray(jax.random.key_data(keys)), len(keys)
+    if words.shape != (count, 2) or not count:
+        refuse(f"keys of shape {words.shape}", f"at least one, of the generator {GENERATOR}")
+    one, drawn_from = scenario(experiment), family(experiment, jnp.dtype(experiment.run.dtype))
+    longer = replace(one, samples=padded(one.samples))
+    return lambda index: _drawn(longer, drawn_from, words[index])
+
+
+@jax.jit
+def _drawn(scenario: Scenario, family: Family, keys: Array) -> Drawn:
+    """Scenarios of a family for key data (S, 2)."""
+    return jax.vmap(lambda key: realise(scenario, family, wrap_key_data(key, impl=GENERATOR)))(keys)
 
 
 @partial(jax.jit, static_argnames="start")
-def _drawn(
-    scenario: Scenario, family: Family, filter: Filter, keys: Array, last: Array, start: str
+def _made_ready(
+    filter: Filter, drawn: Scenario, truth: Truth, sensed: Sensed, last: Array, start: str
 ) -> dict[str, Any]:
-    """Fields of a `ScenarioBatch` for key data (S, 2); the bias is that of sample `last`."""
+    """Fields of a `ScenarioBatch` of drawn scenarios; the bias is that of sample `last`."""
 
-    def draw(key: Array) -> dict[str, Any]:
-        drawn, truth, sensed = realise(scenario, family, wrap_key_data(key, impl=GENERATOR))
+    def one(drawn: Scenario, truth: Truth, sensed: Sensed) -> dict[str, Any]:
         measured, begin = sensed.measurements, truth.time[0]
         pose = drawn.rotation_estimate, drawn.position_estimate
         bias = drawn.bias_estimate
@@ -126,19 +142,17 @@ def _drawn(
                 bias = bias_at_rest(measured, found.sample)
             measured = waiting_until(measured, found.sample)
             pose = found.rotation, found.position
-            begin = found.sample.astype(begin.dtype) * scenario.time_step
-        samples = samples_of(filter, measured, truth.rotation, truth.position, truth.time)
-        initial = initial_state(*pose, bias)
+            begin = found.sample.astype(begin.dtype) * drawn.time_step
         return {
-            "samples": samples,
-            "initial": initial,
+            "samples": samples_of(filter, measured, truth.rotation, truth.position, truth.time),
+            "initial": initial_state(*pose, bias),
             "bias": sensed.bias[last],
             "vector_bias": drawn.vector_bias,
             "begin": begin,
             "end": drawn.end,
         }
 
-    return jax.vmap(draw)(keys)
+    return jax.vmap(one)(drawn, truth, sensed)
 
 
 def scenario(experiment: config.Experiment) -> Scenario:

@@ -19,6 +19,11 @@ def padded(samples: int) -> int:
     return LENGTH * -(-samples // LENGTH)
 
 
+def group_size(length: int) -> int:
+    """Number of scenarios in a group, for scenarios of this number of samples."""
+    return max(1, min(SCENARIOS, SAMPLES // length))
+
+
 def in_groups(run: Callable[[np.ndarray], Any], count: int, length: int) -> Any:
     """Call a compiled function on scenarios 0 to count - 1, a group at a time.
 
@@ -31,7 +36,7 @@ def in_groups(run: Callable[[np.ndarray], Any], count: int, length: int) -> Any:
     Returns:
         The leaves (count, ...) of all scenarios, as NumPy arrays.
     """
-    size = max(1, min(SCENARIOS, SAMPLES // length))
+    size = group_size(length)
     whole: Any = None
     for first in range(0, count, size):
         part = jax.device_get(run(np.arange(first, first + size) % count))

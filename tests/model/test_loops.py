@@ -61,13 +61,14 @@ def test_simulations_together_are_each_by_itself(until: int) -> None:
 
     def step(carry: Any, one: Any) -> tuple[Any, Any]:
         after, (product, _) = storing(carry, one)
-        return after, {"product": product, "sum": carry["sum"]}
+        return after, ({"product": product, "sum": carry["sum"]}, {"product": product})
 
-    last, stored = jax.jit(lambda x: scan_together(step, start, x, count))(given)
+    last, (stored, of_first) = jax.jit(lambda x: scan_together(step, start, x, count))(given)
     assert stored["sum"].shape == (3, 257)
+    np.testing.assert_array_equal(of_first["product"], stored["product"][0])
     for i in range(3):
         own, first = (jax.tree.map(lambda leaf, i=i: leaf[i], tree) for tree in (given, start))
-        want_last, want = lax.scan(step, first, jax.tree.map(lambda leaf: leaf[:until], own))
+        want_last, (want, _) = lax.scan(step, first, jax.tree.map(lambda leaf: leaf[:until], own))
         for name in ("product", "sum"):
             np.testing.assert_allclose(
                 stored[name][i, :until], want[name], rtol=1e-5, atol=1e-6, err_msg=name
