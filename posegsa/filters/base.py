@@ -135,6 +135,11 @@ class Filter(Protocol):
         ...
 
 
+def elementwise(filter: Filter) -> bool:
+    """Whether a filter says that it works on components of any common shape."""
+    return getattr(filter, "elementwise", False)
+
+
 def with_vector_biases(initial: FilterState, vectors: int) -> FilterState:
     """An initial estimate with biases of this number of vectors, 0 unless it has them already.
 

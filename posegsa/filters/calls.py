@@ -30,8 +30,13 @@ def started(filter: Filter, initial: FilterState, sensors: Sensors) -> Any:
     return _arrays(f"{name}: its state", state, jnp.result_type(initial.place[0]))
 
 
-def stepped(ready: ReadyFilter, state: Any, now: Samples) -> tuple[Any, Record]:
+def stepped(
+    ready: ReadyFilter, state: Any, now: Samples, elementwise: bool = False
+) -> tuple[Any, Record]:
     """The state at the next sample, and the record of this one.
+
+    In the state of an `elementwise` filter what is the same in all simulations, such as the last
+    sample, gets the shape of the others.
 
     Raises:
         ArgumentError: The function does not return both, or a state that differs in structure,
@@ -47,6 +52,8 @@ def stepped(ready: ReadyFilter, state: Any, now: Samples) -> tuple[Any, Record]:
     if not isinstance(record, Record):
         refuse(f"{name}: its record is a {type(record).__name__}", both)
     after = _arrays(f"{name}: its state", after, jnp.result_type(now.time))
+    if elementwise and jax.tree.structure(after) == jax.tree.structure(state):
+        after = jax.tree.map(lambda new, old: jnp.broadcast_to(new, jnp.shape(old)), after, state)
     _check_alike(name, state, after)
     return after, record
 

@@ -20,6 +20,7 @@ from posegsa.filters.base import (
     Record,
     Samples,
     check_filter,
+    elementwise,
     samples_of,
     sensors_in,
     sensors_of,
@@ -193,7 +194,7 @@ def run(
 
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
         (state, total), (now, entry) = carry, inputs
-        after, record = stepped(ready, state, now)
+        after, record = stepped(ready, state, now, elementwise(filter))
         known = pose_covariance(ready, state), attitude_deviations(state)
         view = View(estimated(ready, state), *known, record, now)
         total, stored = look(total, view, entry)
@@ -201,16 +202,12 @@ def run(
 
     carry = (state, total)
     if together:
-        step = body if _elementwise(filter) else jax.vmap(body)
+        step = body if elementwise(filter) else jax.vmap(body)
         (last, total), stored = scan_together(step, carry, (samples, extra), count)
     else:
         carry = batched_alike(carry, (filter, samples))
         (last, total), stored = scan_rows(body, carry, (samples, extra), count)
     return last, total, stored
-
-
-def _elementwise(filter: Filter) -> bool:
-    return getattr(filter, "elementwise", False)
 
 
 def simulate_cost(
@@ -345,7 +342,7 @@ def simulate_errors_together(
     last, _, stored = run(look, filter, samples, states, count=count, together=True)
     errors, of_first = stored
     estimate = partial(estimated, filter.ready())
-    ends = (estimate if _elementwise(filter) else jax.vmap(estimate))(last)
+    ends = (estimate if elementwise(filter) else jax.vmap(estimate))(last)
     return last, _error_track(samples, ends, errors), _estimates(samples.time[0], of_first)
 
 

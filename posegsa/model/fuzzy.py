@@ -64,8 +64,9 @@ class PreparedController(NamedTuple):
     """[i][j - i] for i <= j <= i + reach; for the exact centroid."""
     middles: tuple[Array, ...]
     """(a_i + c_i)/2 of the output terms."""
-    grid: tuple[Array, Array, Array] | None
-    """For the sampled centroid: points (P,), weights (P,), output terms' memberships (n, P)."""
+    grid: tuple[Array, Array, tuple[Array, ...]] | None
+    """For the sampled centroid: points (P,), weights (P,), and of each output term its memberships
+    (..., P)."""
     midrange: Array
     """Middle of the output range."""
 
@@ -185,12 +186,15 @@ def exact_integrals(
     return area, moment
 
 
-def sampled_integrals(heights: Heights, grid: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+def sampled_integrals(
+    heights: Heights, grid: tuple[Array, Array, tuple[Array, ...]]
+) -> tuple[Array, Array]:
     """Area and first moment of the aggregated membership by sums over sample points."""
     # Sample points are appended as the last axis.
-    ranks = (1,) * heights[0].ndim
-    points, weights = (jnp.reshape(a, (*ranks, -1)) for a in grid[:2])
-    memberships = [jnp.reshape(m, (*ranks, -1)) for m in grid[2]]
+    ranks = heights[0].ndim + 1
+    points, weights, *memberships = (
+        jnp.reshape(a, (1,) * (ranks - a.ndim) + a.shape) for a in (*grid[:2], *grid[2])
+    )
     clipped = [jnp.minimum(h[..., None], m) for h, m in zip(heights, memberships, strict=True)]
     weighted = weights * reduce(jnp.maximum, clipped)
     return jnp.sum(weighted, axis=-1), jnp.sum(weighted * points, axis=-1)
@@ -271,7 +275,9 @@ class FuzzyController:
             weights = jnp.ones_like(points)
             if self.sampled_rule == "trapezoid":
                 weights = weights.at[jnp.array([0, -1])].set(0.5)
-            grid = (points, weights, jnp.stack([membership(points, slopes(*t)) for t in triangles]))
+            at = jnp.reshape(points, (1,) * (out.ndim - 2) + points.shape)
+            each = ((t[..., None] for t in triangle) for triangle in triangles)
+            grid = (points, weights, tuple(membership(at, slopes(*one)) for one in each))
         low, high = self.output_range
         return PreparedController(
             inputs=inputs,

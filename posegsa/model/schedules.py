@@ -224,11 +224,12 @@ class KnotGain(_Prepared):
 
     def initial_gain(self) -> Array:
         """K at the first knot [1/s]."""
-        return jnp.exp(self.log_gain[0])
+        return jnp.exp(self.log_gain[..., 0])
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K at the time of the sample."""
-        log_gain = jnp.interp(inputs.time, self.time, self.log_gain)
+        interpolated = jnp.vectorize(jnp.interp, signature="(),(n),(n)->()")
+        log_gain = interpolated(inputs.time, self.time, self.log_gain)
         return Gains(jnp.broadcast_to(jnp.exp(log_gain), jnp.shape(inputs.error)))
 
 

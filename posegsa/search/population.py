@@ -11,7 +11,7 @@ from jax import Array, lax
 
 from posegsa.arguments import refuse
 from posegsa.config import ObjectiveConfig
-from posegsa.filters.base import Filter, Samples
+from posegsa.filters.base import Filter, Samples, elementwise
 from posegsa.filters.rollout import (
     ErrorTrack,
     simulate_cost,
@@ -216,9 +216,7 @@ def agent_costs(
         ) -> Array:
             weights = batch.weights.between(samples.time, begin, end)
 
-            def agent(one: Candidate) -> Array:
-                # Applied here, so that only the candidate's numbers are batched over agents.
-                filter = one.applied(batch.filter)
+            def simulated(filter: Filter, initial: FilterState) -> Array:
                 if cost is not None:
                     track = simulate_errors(filter, samples, initial)
                     return cost(track.waiting(samples.time, begin), samples.time)
@@ -226,7 +224,11 @@ def agent_costs(
                     return simulate_recorded_cost(filter, samples, initial, recorded)
                 return simulate_cost(filter, samples, initial, weights).total
 
-            return jax.vmap(agent)(some)
+            # Applied here, so that only the candidates' numbers differ between agents.
+            if elementwise(batch.filter) and cost is None:
+                starts = jax.tree.map(lambda a: jnp.broadcast_to(a, cut.agents), initial)
+                return simulated(some.applied(batch.filter), starts)
+            return jax.vmap(lambda one: simulated(one.applied(batch.filter), initial))(some)
 
         if cut.scenarios == 1:
             # The same without `vmap`, which would trace all operations of the filter once more.
