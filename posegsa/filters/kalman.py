@@ -63,7 +63,7 @@ and 634, with the sensors' true noise 188 and 629.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -117,7 +117,7 @@ from posegsa.model.elementwise import choose, maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import LandmarkSample, Sample, prepare
-from posegsa.model.schedules import PreparedSchedule
+from posegsa.model.schedules import PreparedSchedule, all_elementwise
 from posegsa.model.se3 import (
     Vec3,
     add,
@@ -199,7 +199,6 @@ class KalmanState(NamedTuple):
 class KalmanFilter:
     """The invariant extended Kalman filter (`filters.base.Filter`)."""
 
-    elementwise: ClassVar[bool] = True
     noise: KalmanNoise
     """Assumed noise of its sensors and its initial estimate."""
     vector_biases: bool = field(default=True, metadata={"static": True})
@@ -221,6 +220,11 @@ class KalmanFilter:
     """Noise of each vector, in order, as a multiple of `noise.vector`; 1 for further ones."""
     landmark_scales: tuple[float, ...] = field(default=(), metadata={"static": True})
     """The same for landmarks, as multiples of `noise.landmark`."""
+
+    @property
+    def elementwise(self) -> bool:
+        """Whether its step works on components of any shape, as all do but users' schedules."""
+        return all_elementwise(self.schedule)
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same filter with some numbers replaced.

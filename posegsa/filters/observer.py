@@ -81,7 +81,7 @@ of either sign. That the pose and all biases converge without noise is shown by 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any, ClassVar, Literal, NamedTuple, Self, cast
+from typing import Any, Literal, NamedTuple, Self, cast
 
 import jax
 import jax.numpy as jnp
@@ -104,7 +104,13 @@ from posegsa.model.elementwise import choose, maximum, minimum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample, Seen, prepare, seen_from_estimate
-from posegsa.model.schedules import Gains, GainSchedule, PreparedSchedule, check_schedule
+from posegsa.model.schedules import (
+    Gains,
+    GainSchedule,
+    PreparedSchedule,
+    all_elementwise,
+    check_schedule,
+)
 from posegsa.model.se3 import (
     Vec3,
     add,
@@ -576,7 +582,6 @@ class ReadyObserver(NamedTuple):
 class Observer:
     """The observer with its gain schedule: the paper's filter (`filters.base.Filter`)."""
 
-    elementwise: ClassVar[bool] = True
     schedule: GainSchedule | ObserverGains | None
     """Sets the gain K at each sample, with or without belief; None until a search has chosen it."""
     settings: FilterSettings = field(default_factory=FilterSettings)
@@ -585,6 +590,12 @@ class Observer:
     """Settings of the error signal, the input of the schedule."""
     belief: BeliefSettings | None = None
     """How it judges its sensors; None if it believes all of them."""
+
+    @property
+    def elementwise(self) -> bool:
+        """Whether its step works on components of any shape, as all do but users' schedules."""
+        given = self.schedule
+        return all_elementwise(given if isinstance(given, ObserverGains) else (given,))
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
         """The same with some numbers replaced, by their keys in a configuration without `filter.`.

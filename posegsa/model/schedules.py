@@ -4,8 +4,9 @@ A schedule is any pytree with the two methods of `GainSchedule`. Its inputs are 
 rate, the time and its own last gain; it does not depend on the filter.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Protocol, Self
+from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import jax
 import jax.numpy as jnp
@@ -228,9 +229,10 @@ class KnotGain(_Prepared):
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K at the time of the sample."""
-        interpolated = jnp.vectorize(jnp.interp, signature="(),(n),(n)->()")
-        log_gain = interpolated(inputs.time, self.time, self.log_gain)
-        return Gains(jnp.broadcast_to(jnp.exp(log_gain), jnp.shape(inputs.error)))
+        time = jnp.broadcast_to(inputs.time, jnp.shape(inputs.error))
+        of_many = jnp.ndim(self.log_gain) > 1  # knots (A, n) of A agents
+        interpolated = jax.vmap(jnp.interp) if of_many else jnp.interp
+        return Gains(jnp.exp(interpolated(time, self.time, self.log_gain)))
 
 
 @jax.tree_util.register_dataclass
@@ -272,6 +274,17 @@ SCHEDULES = {
 }
 """The schedules that posegsa searches, stores and exports, by kind. The fields of one other than a
 controller or knots are single numbers; `formula` is what it computes from them."""
+
+
+def all_elementwise(schedules: Iterable[Any]) -> bool:
+    """Whether all schedules are posegsa's, which work on numbers and inputs of any common shape.
+
+    A user's may not: one that decides by `lax.cond` needs scalars.
+    """
+    return all(one is None or type(one) in _ELEMENTWISE for one in schedules)
+
+
+_ELEMENTWISE = (*SCHEDULES.values(), SearchedRulesGain)
 
 
 def check_gain(name: str, gain: ArrayLike) -> None:

@@ -1,13 +1,15 @@
 """Filters that are written by components: many agents at once are each by itself."""
 
+import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.experiments import LEARNT, lasting, paper
+from helpers.experiments import LEARNT, lasting, paper, posed
 
 from posegsa import config
 from posegsa.config.shipped import find
@@ -17,7 +19,15 @@ from posegsa.filters.calls import started, stepped
 from posegsa.model.estimate import initial_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
-from posegsa.model.schedules import KnotGain, ScheduleInputs, SearchedRulesGain, SwitchGain
+from posegsa.model.schedules import (
+    ConstantGain,
+    Gains,
+    KnotGain,
+    ScheduleInputs,
+    SearchedRulesGain,
+    SwitchGain,
+)
+from posegsa.search.candidates import Candidate
 from posegsa.search.population import agent_costs
 from posegsa.search.problem import tuning_problem
 
@@ -90,6 +100,26 @@ def test_a_schedule_of_many_agents_is_each_agents(made: Callable[[], Any]) -> No
     together, apart = (run(schedule, error, rate, last) for run in (gains, jax.vmap(gains)))
     for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(apart), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Deciding(ConstantGain):
+    """A user's schedule that needs scalars."""
+
+    def __call__(self, inputs: ScheduleInputs) -> Gains:
+        return Gains(jax.lax.cond(inputs.error > 0.5, lambda: 2 * self.gain, lambda: self.gain))
+
+
+def test_a_schedule_that_needs_scalars_gets_them() -> None:
+    batch = posed(paper(*lasting(1.5)))
+    filter = dataclasses.replace(batch.filter, schedule=Deciding(jnp.asarray(9.0)))
+    assert elementwise(batch.filter)
+    assert not elementwise(filter)
+    lengths = Candidate(None, (jnp.asarray([1.0, 2.0]),), ("filter.gain_limit",))
+    costs = jax.jit(lambda a, b: agent_costs(a, b))(lengths, batch._replace(filter=filter))
+    assert costs.shape == (1, 2)
+    assert np.isfinite(costs).all()
 
 
 def test_attitude_filters_together_are_each_by_itself() -> None:

@@ -36,9 +36,9 @@ PLAIN = reference_ekf.Noise(
 
 
 def filter_of(dtype: type[np.floating]) -> Clairvoyant:
-    """The clairvoyant with the same start and walks."""
+    """The clairvoyant with the same start; its walks come with the samples."""
     numbers = dict.fromkeys(KalmanNoise._fields, 0.0) | {
-        **{"angular_walk": 0.003, "linear_walk": 0.002, "vector": 1.0, "landmark": 1.0},
+        **{"vector": 1.0, "landmark": 1.0},
         **{"initial_attitude": 0.5, "initial_position": 2.0, "initial_vector_bias": 0.15},
         **{"initial_angular_bias": 0.1, "initial_linear_bias": 0.3},
     }
@@ -64,7 +64,8 @@ def some_events(rng: np.random.Generator, count: int) -> Events:
 @partial(jax.jit, static_argnames="jumps")
 def states(filter: Clairvoyant, m: Measurements, events: Events, initial, jumps: bool = True):
     """Pose, biases and covariance before each sample."""
-    samples = with_events(samples_of(filter, events.weighted(m)), events, jumps=jumps)
+    walk = jnp.asarray(PLAIN.bias_walk, m.time_step.dtype)
+    samples = with_events(samples_of(filter, events.weighted(m)), events, walk, jumps=jumps)
 
     def look(total, view, entry):
         estimate = view.estimate
