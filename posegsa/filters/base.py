@@ -94,9 +94,9 @@ class ReadyFilter(Protocol):
 class Filter(Protocol):
     """A filter: a registered pytree (`jax.tree_util.register_dataclass`) with these functions.
 
-    It may have an attribute `elementwise = True`: its `start`, `step` and `estimate` then work on
-    numbers and components of any common shape, not only on scalars, and many simulations need no
-    `vmap`, which takes longer to trace than the step itself.
+    Its class may have an attribute `elementwise = True`: all its functions but `prepare` then work
+    on numbers and components of any common shape, not only on scalars, and many simulations need
+    no `vmap`, which takes longer to trace than the step itself.
     """
 
     def with_values(self, values: Mapping[str, Array]) -> Self:
@@ -136,8 +136,11 @@ class Filter(Protocol):
 
 
 def elementwise(filter: Filter) -> bool:
-    """Whether a filter says that it works on components of any common shape."""
-    return getattr(filter, "elementwise", False)
+    """Whether a filter's own class says that it works on components of any common shape.
+
+    A subclass says so itself: its functions may need scalars.
+    """
+    return "elementwise" in vars(type(filter)) and getattr(filter, "elementwise", False)
 
 
 def with_vector_biases(initial: FilterState, vectors: int) -> FilterState:

@@ -4,7 +4,7 @@ The functions may be a user's. They are called while a program is traced, so tha
 nothing when it runs.
 """
 
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,8 @@ from jax.typing import DTypeLike
 from posegsa.arguments import made_of_jax, refuse
 from posegsa.filters.base import Filter, ReadyFilter, Record, Samples, Sensors
 from posegsa.model.estimate import FilterState
+
+T = TypeVar("T")
 
 
 def started(filter: Filter, initial: FilterState, sensors: Sensors) -> Any:
@@ -31,12 +33,11 @@ def started(filter: Filter, initial: FilterState, sensors: Sensors) -> Any:
 
 
 def stepped(
-    ready: ReadyFilter, state: Any, now: Samples, elementwise: bool = False
+    ready: ReadyFilter, state: Any, now: Samples, shape: tuple[int, ...] = ()
 ) -> tuple[Any, Record]:
     """The state at the next sample, and the record of this one.
 
-    In the state of an `elementwise` filter what is the same in all simulations, such as the last
-    sample, gets the shape of the others.
+    `shape` is that of many simulations of an `elementwise` filter.
 
     Raises:
         ArgumentError: The function does not return both, or a state that differs in structure,
@@ -52,10 +53,9 @@ def stepped(
     if not isinstance(record, Record):
         refuse(f"{name}: its record is a {type(record).__name__}", both)
     after = _arrays(f"{name}: its state", after, jnp.result_type(now.time))
-    if elementwise and jax.tree.structure(after) == jax.tree.structure(state):
-        after = jax.tree.map(lambda new, old: jnp.broadcast_to(new, jnp.shape(old)), after, state)
+    after = of_shape(after, shape)
     _check_alike(name, state, after)
-    return after, record
+    return after, of_shape(record, shape)
 
 
 def estimated(ready: ReadyFilter, state: Any) -> FilterState:
@@ -78,6 +78,13 @@ def estimated(ready: ReadyFilter, state: Any) -> FilterState:
         refuse(f"{name}: returns components {', '.join(parts)}", allowed)
     own = [leaf for leaf in jax.tree.leaves(found) if hasattr(leaf, "dtype")]
     return _arrays(f"{name}: its estimate", found, jnp.result_type(*own or [float]))
+
+
+def of_shape(tree: T, shape: tuple[int, ...]) -> T:
+    """A pytree whose scalars, the same in all simulations, have the shape of the others."""
+    if not shape:
+        return tree
+    return jax.tree.map(lambda a: a if np.ndim(a) else jnp.broadcast_to(a, shape), tree)
 
 
 def _arrays(what: str, tree: Any, dtype: DTypeLike) -> Any:

@@ -425,6 +425,7 @@ def update(
         ArgumentError: The sample holds only Wahba's sums of its vectors.
     """
     before, covariance = state.estimate, state.covariance
+    # `choose`, so that `vmap` batches it, and need not find out in the loops below that it must.
     count, zero = len(covariance), choose(True, jnp.zeros_like(before.place[0]), before.place[0])
     nothing = Found(covariance, (zero,) * count, nis=zero, scalars=zero)
     first = found = _linear_update(before, nothing, sample, noise)

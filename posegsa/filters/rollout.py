@@ -25,7 +25,7 @@ from posegsa.filters.base import (
     sensors_in,
     sensors_of,
 )
-from posegsa.filters.calls import estimated, started, stepped
+from posegsa.filters.calls import estimated, of_shape, started, stepped
 from posegsa.filters.covariance import matrix
 from posegsa.filters.uncertainty import (
     PoseCovariance,
@@ -190,13 +190,17 @@ def run(
         The state after the last sample, the sum, and the values that `look` stored, stacked over
         time.
     """
-    ready = filter.ready()
+    ready, shape = filter.ready(), ()
+    if elementwise(filter):
+        shapes = map(jnp.shape, jax.tree.leaves(state))
+        shape = jnp.broadcast_shapes(samples.time.shape[:-1], *shapes)
+        state = of_shape(state, shape)
 
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
         (state, total), (now, entry) = carry, inputs
-        after, record = stepped(ready, state, now, elementwise(filter))
+        after, record = stepped(ready, state, now, shape)
         known = pose_covariance(ready, state), attitude_deviations(state)
-        view = View(estimated(ready, state), *known, record, now)
+        view = View(*of_shape((estimated(ready, state), *known), shape), record, now)
         total, stored = look(total, view, entry)
         return (after, total), stored
 
@@ -342,7 +346,10 @@ def simulate_errors_together(
     last, _, stored = run(look, filter, samples, states, count=count, together=True)
     errors, of_first = stored
     estimate = partial(estimated, filter.ready())
-    ends = (estimate if elementwise(filter) else jax.vmap(estimate))(last)
+    if elementwise(filter):
+        ends = of_shape(estimate(last), samples.time.shape[:-1])
+    else:
+        ends = jax.vmap(estimate)(last)
     return last, _error_track(samples, ends, errors), _estimates(samples.time[0], of_first)
 
 

@@ -20,7 +20,7 @@ from posegsa.model.first_pose import first_pose, waiting_until
 from posegsa.model.scenario import Scenario, Sensed, Truth
 from posegsa.search.candidates import Candidate
 from posegsa.search.drawn_scenarios import cost_weights, drawing
-from posegsa.search.groups import in_groups, padded
+from posegsa.search.groups import SCENARIOS, in_groups, padded
 from posegsa.search.keys import held_out_keys
 from posegsa.search.population import ScenarioBatch
 
@@ -48,7 +48,10 @@ def clairvoyant_costs(experiment: config.Experiment, keys: Array | None = None) 
     weights = cost_weights(experiment.cost, c.samples, jnp.dtype(run.dtype))
 
     def some(index: np.ndarray) -> np.ndarray:
-        made: dict[str, Any] = jax.device_get(_made_ready(filter, *draw(index), c.start))
+        def draw_some(i: np.ndarray) -> dict[str, Any]:
+            return _made_ready(filter, *draw(index[i]), c.start)
+
+        made = in_groups(draw_some, len(index), padded(c.samples))
         samples = jax.tree.map(lambda a: a[:, : c.samples], made.pop("samples"))
         batch = ScenarioBatch(samples, **made, weights=weights, filter=filter)
         if experiment.family.duration == "off":
@@ -56,7 +59,9 @@ def clairvoyant_costs(experiment: config.Experiment, keys: Array | None = None) 
         transient, steady = cost_parts(error_tracks(Candidate(), batch), batch)
         return transient + steady
 
-    return in_groups(some, len(keys), padded(c.samples))
+    # As many at once as are judged at once, so that their samples are never all in memory.
+    every = np.arange(len(keys))
+    return np.concatenate([some(every[i : i + SCENARIOS]) for i in every[::SCENARIOS]])
 
 
 def _prior(experiment: config.Experiment) -> Clairvoyant:

@@ -1,6 +1,6 @@
 """Metrics of a filter on each of many scenarios: cost, settling, steady state, bias."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Annotated, Any, NamedTuple
 
@@ -90,23 +90,33 @@ def error_tracks(candidate: Candidate, batch: ScenarioBatch) -> ErrorTrack:
     """A candidate's errors on all S scenarios of a batch; on the host, leaves (S, ...)."""
     count, samples = batch.samples.time.shape
     run = _in_parts(candidate, batch)
+
+    def some(index: np.ndarray) -> ErrorTrack:
+        each = [jax.device_get(track).until(given) for given, track, _ in run(index)]
+        return ErrorTrack.joined(each)
+
     # Groups keep their full size for long scenarios too, as only errors are held over the length.
-    return in_groups(lambda index: run(index)[0], count, padded(samples) // SCENARIOS)
+    return in_groups(some, count, padded(samples) // SCENARIOS)
 
 
 def estimates_on(candidate: Candidate, batch: ScenarioBatch, scenario: int) -> Estimates:
     """A candidate's estimates on one scenario of a batch, by the program of `error_tracks`."""
     samples = batch.samples.time.shape[1]
     size = group_size(padded(samples) // SCENARIOS)
-    return _in_parts(candidate, batch)(np.full(size, scenario))[1]
+    each = [
+        jax.tree.map(lambda a, n=given: a[:n], jax.device_get(estimates))
+        for given, _, estimates in _in_parts(candidate, batch)(np.full(size, scenario))
+    ]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *each)
 
 
 def _in_parts(
     candidate: Candidate, batch: ScenarioBatch
-) -> Callable[[np.ndarray], tuple[ErrorTrack, Estimates]]:
-    """Run a candidate on scenarios by number: their errors, and the estimates on the first.
+) -> Callable[[np.ndarray], Iterator[tuple[int, ErrorTrack, Estimates]]]:
+    """Run a candidate on scenarios by number, LENGTH samples at a time.
 
-    They are run LENGTH samples at a time, so that scenarios of any duration share one program.
+    So scenarios of any duration share one program. Of each part: how many of its samples are the
+    scenarios' own, the errors, and the estimates on the first scenario.
     """
     # All on the host: JAX compiles a program again for arrays on another device.
     batch = jax.tree.map(np.asarray, batch)
@@ -114,23 +124,17 @@ def _in_parts(
     filter = jax.tree.map(np.asarray, candidate.applied(batch.filter))
     sensors = sensors_in(batch.samples)
 
-    def some(index: np.ndarray) -> tuple[ErrorTrack, Estimates]:
+    def parts(index: np.ndarray) -> Iterator[tuple[int, ErrorTrack, Estimates]]:
         chosen = batch.select(index)
-        state, tracks, estimates = _started(filter, chosen.initial, sensors), [], []
-        samples = chosen.samples.time.shape[1]
-        for first in range(0, samples, LENGTH):
+        state = _started(filter, chosen.initial, sensors)
+        for first in range(0, chosen.samples.time.shape[1], LENGTH):
             part = jax.tree.map(lambda a, i=first: a[:, i : i + LENGTH], chosen.samples)
             lacking = LENGTH - part.time.shape[1]
             part = jax.tree.map(lambda a, n=lacking: np.pad(a, [(0, 0), (0, n)], mode="edge"), part)
-            given = LENGTH - lacking
-            state, *found = _tracks(filter, part, state, np.int32(given))
-            track, estimate = jax.device_get(found)
-            tracks.append(track.until(given))
-            estimates.append(jax.tree.map(lambda a, n=given: a[:n], estimate))
-        whole = jax.tree.map(lambda *leaves: np.concatenate(leaves), *estimates)
-        return ErrorTrack.joined(tracks), whole
+            state, track, estimates = _tracks(filter, part, state, np.int32(LENGTH - lacking))
+            yield LENGTH - lacking, track, estimates
 
-    return some
+    return parts
 
 
 @partial(jax.jit, static_argnames="sensors")

@@ -24,7 +24,7 @@ from posegsa.model.se3 import (
     stack,
     unstack,
 )
-from posegsa.model.signal import TruePose
+from posegsa.model.signal import TruePose, known_pose
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import ScenarioBatch
 from posegsa.settings.arrays import Columns
@@ -120,7 +120,7 @@ def trajectory_on(candidate: Candidate, batch: ScenarioBatch, index: int) -> Tra
     truth, vector_bias = jax.tree.map(
         lambda a: np.asarray(a)[index], (batch.samples.truth, batch.vector_bias)
     )
-    R, P = _pose(truth)
+    R, P = _pose(known_pose(truth))
     return trajectory(R, P, estimates_on(candidate, batch, index), vector_bias)
 
 

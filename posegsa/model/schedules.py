@@ -230,8 +230,9 @@ class KnotGain(_Prepared):
     def __call__(self, inputs: ScheduleInputs) -> Gains:
         """K at the time of the sample."""
         time = jnp.broadcast_to(inputs.time, jnp.shape(inputs.error))
-        of_many = jnp.ndim(self.log_gain) > 1  # knots (A, n) of A agents
-        interpolated = jax.vmap(jnp.interp) if of_many else jnp.interp
+        # Knots (A, n) are those of A agents.
+        axes = [0 if jnp.ndim(knots) > 1 else None for knots in (self.time, self.log_gain)]
+        interpolated = jax.vmap(jnp.interp, (0, *axes)) if 0 in axes else jnp.interp
         return Gains(jnp.exp(interpolated(time, self.time, self.log_gain)))
 
 

@@ -136,5 +136,5 @@ def _summary(replay: Replay) -> dict[str, Any]:
 
 
 def _or_null(number: float | None) -> float | None:
-    """A number, or None for one that there is not: of a filter without a gain, of no samples."""
+    """A number, or None where it is missing or NaN: a gain of a filter without one, say."""
     return None if number is None or math.isnan(number) else number

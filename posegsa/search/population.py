@@ -226,8 +226,10 @@ def agent_costs(
 
             # Applied here, so that only the candidates' numbers differ between agents.
             if elementwise(batch.filter) and cost is None:
-                starts = jax.tree.map(lambda a: jnp.broadcast_to(a, cut.agents), initial)
-                return simulated(some.applied(batch.filter), starts)
+                filters = some.applied(batch.filter)
+                if elementwise(filters):  # not with a schedule of the user's
+                    starts = jax.tree.map(lambda a: jnp.broadcast_to(a, cut.agents), initial)
+                    return simulated(filters, starts)
             return jax.vmap(lambda one: simulated(one.applied(batch.filter), initial))(some)
 
         if cut.scenarios == 1:

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -14,11 +14,14 @@ from helpers.experiments import LEARNT, lasting, paper, posed
 from posegsa import config
 from posegsa.config.shipped import find
 from posegsa.filters.attitude import AttitudeFilter, AttitudeNumbers
-from posegsa.filters.base import Samples, Sensors, elementwise
+from posegsa.filters.base import Record, Samples, Sensors, elementwise
 from posegsa.filters.calls import started, stepped
-from posegsa.model.estimate import initial_state
+from posegsa.filters.observer import Observer
+from posegsa.judging.metrics import cost_parts, error_tracks
+from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
+from posegsa.model.sample import prepare
 from posegsa.model.schedules import (
     ConstantGain,
     Gains,
@@ -27,7 +30,11 @@ from posegsa.model.schedules import (
     SearchedRulesGain,
     SwitchGain,
 )
+from posegsa.model.se3 import move, scale
+from posegsa.model.vectors import VectorSettings
 from posegsa.search.candidates import Candidate
+from posegsa.search.drawn_scenarios import scenario_batch
+from posegsa.search.keys import scenario_keys
 from posegsa.search.population import agent_costs
 from posegsa.search.problem import tuning_problem
 
@@ -74,6 +81,10 @@ def random_knots() -> KnotGain:
     return KnotGain(time, jnp.asarray(draw.normal(size=(AGENTS, 4))))
 
 
+def shared_times() -> KnotGain:
+    return dataclasses.replace(random_knots(), time=jnp.asarray([0.0, 3.0, 5.0, 9.0]))
+
+
 def random_switch() -> SwitchGain:
     return SwitchGain(*jnp.asarray(np.random.default_rng(5).uniform(1, 9, (4, AGENTS))))
 
@@ -87,7 +98,9 @@ def random_rules() -> SearchedRulesGain:
 
 
 @pytest.mark.parametrize(
-    "made", [random_knots, random_switch, random_rules], ids=["knots", "switch", "rules"]
+    "made",
+    [random_knots, shared_times, random_switch, random_rules],
+    ids=["knots", "shared times", "switch", "rules"],
 )
 def test_a_schedule_of_many_agents_is_each_agents(made: Callable[[], Any]) -> None:
     schedule = made()
@@ -97,7 +110,9 @@ def test_a_schedule_of_many_agents_is_each_agents(made: Callable[[], Any]) -> No
         given = ScheduleInputs(*inputs[:2], time=jnp.asarray(4.0), last=inputs[2])
         return one.prepare()(given), jnp.broadcast_to(one.initial_gain(), inputs[0].shape)
 
-    together, apart = (run(schedule, error, rate, last) for run in (gains, jax.vmap(gains)))
+    of_each = jax.tree.map(lambda a: 0 if np.shape(a)[0] == AGENTS else None, schedule)
+    one_by_one = jax.vmap(gains, in_axes=(of_each, 0, 0, 0))
+    together, apart = (run(schedule, error, rate, last) for run in (gains, one_by_one))
     for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(apart), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12)
 
@@ -116,10 +131,63 @@ def test_a_schedule_that_needs_scalars_gets_them() -> None:
     filter = dataclasses.replace(batch.filter, schedule=Deciding(jnp.asarray(9.0)))
     assert elementwise(batch.filter)
     assert not elementwise(filter)
-    lengths = Candidate(None, (jnp.asarray([1.0, 2.0]),), ("filter.gain_limit",))
-    costs = jax.jit(lambda a, b: agent_costs(a, b))(lengths, batch._replace(filter=filter))
-    assert costs.shape == (1, 2)
-    assert np.isfinite(costs).all()
+    run = jax.jit(lambda a, b: agent_costs(a, b))
+    limits = Candidate(None, (jnp.asarray([0.01, 0.01]),), ("filter.gain_limit",))
+    in_filter = run(limits, batch._replace(filter=filter))
+    gains = Candidate(Deciding(jnp.asarray([9.0, 9.0])), limits.values, limits.keys)
+    np.testing.assert_allclose(in_filter, run(gains, batch), rtol=1e-12)
+
+
+def test_a_subclass_says_itself_that_it_is_elementwise() -> None:
+    class Own(Observer):
+        pass
+
+    assert elementwise(Observer(ConstantGain(jnp.asarray(9.0))))
+    assert not elementwise(Own(ConstantGain(jnp.asarray(9.0))))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Constant:
+    """A user's filter by components, whose state, record and estimate hold constants."""
+
+    gain: Any
+    elementwise: ClassVar[bool] = True
+
+    def with_values(self, values: Any) -> Self:
+        return dataclasses.replace(self, **values)
+
+    def prepare(self, measurements: Measurements) -> Any:
+        return prepare(measurements, VectorSettings(each_agent=True))
+
+    def start(self, initial: Any, sensors: Sensors) -> Any:
+        return 0.0, initial
+
+    def ready(self) -> Self:
+        return self
+
+    def step(self, state: Any, now: Samples) -> Any:
+        dt, (_, estimate) = now.sample.time_step, state
+        omega = scale(dt * self.gain, now.sample.angular_velocity)
+        attitude, place = move(estimate.attitude, estimate.place, omega, (0.0 * dt,) * 3)
+        after = estimate._replace(attitude=attitude, place=place)
+        return (1.0, after), Record(gain=self.gain, gain_used=2.0)
+
+    def estimate(self, state: Any) -> FilterState:
+        return state[1]._replace(bias_linear=(0.0, 1.0, 2.0))
+
+
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_constants_of_a_filter_are_the_same_in_all_simulations() -> None:
+    agents = Candidate(None, (jnp.asarray([0.5, 1.0, 2.0]),), ("filter.gain",))
+    filter = Constant(jnp.asarray(1.0))
+    batch = scenario_batch(paper(*lasting(1.0)), scenario_keys(jax.random.key(0), 2), filter)
+    costs = np.asarray(jax.jit(lambda a, b: agent_costs(a, b))(agents, batch))
+    for i in range(3):
+        tracks = error_tracks(jax.tree.map(lambda a, i=i: a[i], agents), batch)
+        np.testing.assert_allclose(sum(cost_parts(tracks, batch)), costs[:, i], rtol=1e-9)
+        np.testing.assert_array_equal(tracks.gain, 2.0)
+        np.testing.assert_array_equal(tracks.bias[:, 3:], [[0.0, 1.0, 2.0]] * 2)
 
 
 def test_attitude_filters_together_are_each_by_itself() -> None:
@@ -141,19 +209,19 @@ def test_attitude_filters_together_are_each_by_itself() -> None:
     samples = AttitudeFilter(AttitudeNumbers(*numbers)).prepare(measured)
     time = jnp.zeros(N)
 
-    def run(numbers: Any, like: Any, at_once: bool) -> Any:
+    def run(numbers: Any, shape: tuple[int, ...]) -> Any:
         filter = AttitudeFilter(AttitudeNumbers(*numbers))
         start = initial_state(np.eye(3), np.zeros(3))
-        start = jax.tree.map(lambda a: jnp.broadcast_to(a, like.shape), start)
+        start = jax.tree.map(lambda a: jnp.broadcast_to(a, shape), start)
         state = started(filter, start, Sensors(2, 0))
 
         def body(state: Any, now: Samples) -> Any:
-            after, _ = stepped(filter.ready(), state, now, at_once)
+            after, _ = stepped(filter.ready(), state, now, shape)
             return after, after.estimate
 
         return jax.lax.scan(body, state, Samples(time, samples, None))
 
-    together = jax.jit(lambda n: run(n, n[0], True))(numbers)
-    each = jax.jit(jax.vmap(lambda n: run(n, n[0], False), in_axes=1, out_axes=-1))(numbers)
+    together = jax.jit(lambda n: run(n, (AGENTS,)))(numbers)
+    each = jax.jit(jax.vmap(lambda n: run(n, ()), in_axes=1, out_axes=-1))(numbers)
     for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(each), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
