@@ -140,7 +140,8 @@ def elementwise(filter: Filter) -> bool:
 
     A subclass says so itself: its functions may need scalars.
     """
-    return "elementwise" in vars(type(filter)) and getattr(filter, "elementwise", False)
+    stated = "elementwise" in vars(type(filter))
+    return stated and getattr(filter, "elementwise", False) is True  # not a traced field
 
 
 def with_vector_biases(initial: FilterState, vectors: int) -> FilterState:
