@@ -94,9 +94,9 @@ class ReadyFilter(Protocol):
 class Filter(Protocol):
     """A filter: a registered pytree (`jax.tree_util.register_dataclass`) with these functions.
 
-    Its class may have an attribute `elementwise = True`: all its functions but `prepare` then work
-    on numbers and components of any common shape, not only on scalars, and many simulations need
-    no `vmap`, which takes longer to trace than the step itself.
+    Its class may say `elementwise: ClassVar[bool] = True`: all its functions but `prepare` then
+    work on numbers and components of any common shape, not only on scalars, and many simulations
+    need no `vmap`, which takes longer to trace than the step itself.
     """
 
     def with_values(self, values: Mapping[str, Array]) -> Self:

@@ -37,7 +37,7 @@ def stepped(
 ) -> tuple[Any, Record]:
     """The state at the next sample, and the record of this one.
 
-    `shape` is that of many simulations of an `elementwise` filter.
+    `shape` is the shape of a number of many simulations at once, for an `elementwise` filter.
 
     Raises:
         ArgumentError: The function does not return both, or a state that differs in structure,

@@ -103,7 +103,7 @@ def _made_ready(
         return {
             "samples": with_events(samples, events, drawn.bias_drift, jumps=jumps),
             "initial": initial_state(truth.rotation[first], truth.position[first]),
-            "bias": sensed.bias[-1],
+            "bias": sensed.bias[-1],  # not read, as only costs are kept
             "vector_bias": drawn.vector_bias,
             "begin": begin,
             "end": drawn.end,
