@@ -12,13 +12,11 @@ from collections.abc import Sequence
 from functools import partial, reduce
 from typing import Any, Literal, NamedTuple
 
-from jax import Array, lax
+from jax import Array
 
 from posegsa.filters.covariance import ANGULAR, VECTORS, Covariance, Row, entry_of, product
 from posegsa.filters.measurement_model import (
-    apart,
     landmark_rows,
-    stacked,
     variance_of,
     vector_rows,
     weighted,
@@ -35,6 +33,7 @@ from posegsa.model.estimate import FilterState
 from posegsa.model.sample import LandmarkSample, Sample
 from posegsa.model.schedules import GainSchedule, PreparedSchedule
 from posegsa.model.se3 import Vec3, dot, rows
+from posegsa.model.sensor_loops import apart, in_turn, stacked
 from posegsa.model.vectors import VectorSample
 
 BeliefInput = Literal["residual", "variance"]
@@ -120,9 +119,9 @@ def residuals(
     of_vectors = of_landmarks = None
     if vectors := sample.vectors.each:
         biased = stacked(map(of_bias, range(len(vectors))))
-        _, of_vectors = lax.scan(by_vector, (), (with_biases(vectors, estimate), biased))
+        _, of_vectors = in_turn(by_vector, (), (with_biases(vectors, estimate), biased))
     if sample.landmarks:
-        _, of_landmarks = lax.scan(by_landmark, (), stacked(sample.landmarks))
+        _, of_landmarks = in_turn(by_landmark, (), stacked(sample.landmarks))
     return of_vectors, of_landmarks
 
 
@@ -190,7 +189,7 @@ def belief_factors(
             factor, after, _ = follow(past, now.normalised, now.factor > 0, time, time_step)
             return nothing, (factor, after)
 
-        _, found = lax.scan(one, (), (stacked(before), residual))
+        _, found = in_turn(one, (), (stacked(before), residual))
         of_sensors, after = (apart(those, len(before)) for those in found)
         factors.append(of_sensors)
         memories.append(after)

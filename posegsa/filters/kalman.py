@@ -97,7 +97,6 @@ from posegsa.filters.leads import LEAD_KEYS, LastSample, Leads, extrapolated, no
 from posegsa.filters.measurement_model import (
     landmark_rows,
     measured_error,
-    stacked,
     variance_of,
     vector_rows,
     weighted,
@@ -129,6 +128,7 @@ from posegsa.model.se3 import (
     subtract,
     unrotate,
 )
+from posegsa.model.sensor_loops import in_turn, stacked
 from posegsa.model.vectors import AS_MEASURED, VectorSample
 
 
@@ -471,9 +471,9 @@ def _linear_update(
         return by_components(found, each, residual, variance, landmark.factor), None
 
     if vectors := sample.vectors.each:
-        found, _ = lax.scan(by_vector, found, with_biases(vectors, estimate))
+        found, _ = in_turn(by_vector, found, with_biases(vectors, estimate))
     if sample.landmarks:
-        found, _ = lax.scan(by_landmark, found, stacked(sample.landmarks))
+        found, _ = in_turn(by_landmark, found, stacked(sample.landmarks))
     return found
 
 

@@ -3,18 +3,18 @@
 The equations are those of `filters.kalman`: a vector is R^T v^I + c_i, a landmark R^T (p - P).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 
 from posegsa.filters.covariance import VECTORS, Row
 from posegsa.model.elementwise import choose, maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.sample import LandmarkSample, Sample
 from posegsa.model.se3 import Matrix3, Vec3, add, dot, rows, safe_sqrt, subtract, unrotate
+from posegsa.model.sensor_loops import in_turn, stacked
 from posegsa.model.vectors import VectorSample, VectorSamples
 
 
@@ -76,9 +76,9 @@ def measured_error(
 
     sums = zero, zero
     if vectors := sample.vectors.each:
-        sums, _ = lax.scan(by_vector, sums, with_biases(vectors, estimate))
+        sums, _ = in_turn(by_vector, sums, with_biases(vectors, estimate))
     if sample.landmarks:
-        sums, _ = lax.scan(by_landmark, sums, stacked(sample.landmarks))
+        sums, _ = in_turn(by_landmark, sums, stacked(sample.landmarks))
     total, count = sums
     return safe_sqrt(total / maximum(count, 1.0)), count > 0
 
@@ -91,19 +91,6 @@ def weighted(sample: Sample, vectors: Sequence[Array], landmarks: Sequence[Array
     return sample._replace(
         vectors=sample.vectors._replace(each=tuple(v._replace(factor=w) for v, w in pairs)),
         landmarks=tuple(p._replace(factor=w) for p, w in points),
-    )
-
-
-def stacked(sensors: Iterable[Any]) -> Any:
-    """Sensors of one kind, stacked along a first axis for a loop that is compiled once."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sensors)
-
-
-def apart(together: Any, count: int) -> tuple[Any, ...]:
-    """The inverse of `stacked`."""
-    return tuple(
-        jax.tree.map(lambda leaf, i=i: lax.index_in_dim(leaf, i, keepdims=False), together)
-        for i in range(count)
     )
 
 

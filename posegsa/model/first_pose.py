@@ -26,6 +26,7 @@ from posegsa.model.se3 import (
     subtract,
     unit,
 )
+from posegsa.model.sensor_loops import in_turn, stacked
 from posegsa.model.vectors import AS_MEASURED, VectorSample
 
 INDEPENDENT = 1e-3
@@ -77,13 +78,13 @@ def shown(vectors: Sequence[VectorSample], landmarks: Sequence[LandmarkSample]) 
     none = nothing, nothing, nothing
     sums = Sums(none, none, none)
     if vectors:
-        sums, _ = lax.scan(_with_vector, sums, _stacked(vectors))
+        sums, _ = in_turn(_with_vector, sums, stacked(vectors))
     count = zero + 1
     if landmarks:
-        (body, inertial, count), _ = lax.scan(_total, (nothing, nothing, zero), _stacked(landmarks))
+        (body, inertial, count), _ = in_turn(_total, (nothing, nothing, zero), stacked(landmarks))
         centre, known_centre = (scale(1 / maximum(count, 1.0), one) for one in (body, inertial))
         with_landmark = partial(_with_landmark, centre, known_centre)
-        sums, _ = lax.scan(with_landmark, sums, _stacked(landmarks))
+        sums, _ = in_turn(with_landmark, sums, stacked(landmarks))
     (size, apart), (seen_size, seen_apart) = _spread(sums.known), _spread(sums.seen)
     q = _best_rotation(sums.profile, 0.5 * (size + seen_size))
     place = subtract(known_centre, rotate(rows(q), centre))
@@ -193,11 +194,6 @@ def _dot(a: Sequence[Array], b: Sequence[Array]) -> Array:
 
 def _is_there(factor: Array) -> Array:
     return choose(factor > 0, jnp.ones_like(factor), 0.0)
-
-
-def _stacked(sensors: Sequence[Any]) -> Any:
-    """Sensors of one kind along a first axis: in C a loop, whatever their number."""
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *sensors)
 
 
 class FirstPose(NamedTuple):

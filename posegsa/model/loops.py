@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from posegsa.model.elementwise import choose
+from posegsa.model.gpu_loop import last_of_scan, on_gpu
 
 LONGEST_LOOP, LONGEST_TOGETHER = 8, 256
 """Maximum number of steps in a loop that stores something, of one simulation and of many; longer
@@ -29,6 +30,13 @@ def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -
     step = jax.jit(step)  # traced once, for its shapes and for the loop; XLA inlines it
     leaves, structure = jax.tree.flatten(inputs)
     rows = jnp.stack(leaves, axis=-1)
+    if on_gpu() and count is None:
+
+        def after(carry: Any, row: list[Array]) -> tuple[Any, Any]:
+            return step(carry, jax.tree.unflatten(structure, row))
+
+        if last := last_of_scan(after, start, rows):
+            return last(), None
 
     def on_row(carry: Any, row: Array) -> tuple[Any, Any]:
         return step(carry, jax.tree.unflatten(structure, _along(row, 0)))

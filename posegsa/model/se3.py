@@ -159,9 +159,9 @@ def exp_coefficients(angle_squared: Array) -> tuple[Array, Array, Array, Array]:
     far = angle_squared > math.pi**2
     safe = choose(far, angle_squared, math.pi**2)
     angle = jnp.sqrt(safe)
-    turns = jnp.round(angle * (0.5 / math.pi))
+    turns = jnp.floor(angle * (0.5 / math.pi) + 0.5)
     rest = (angle - turns * TURN[0]) - turns * TURN[1]
-    sign = 1 - 2 * jnp.abs(turns - 2 * jnp.round(0.5 * turns))  # -1 for an odd number of turns
+    sign = 1 - 2 * (turns - 2 * jnp.floor(0.5 * turns))  # -1 for an odd number of turns
     quarter = 0.25 * choose(far, rest * rest, angle_squared)
     # Enough terms that the first omitted one is below rounding at pi/2 and at SERIES_BELOW.
     small = angle_squared < SERIES_BELOW

@@ -20,6 +20,7 @@ from posegsa.filters.rollout import (
 )
 from posegsa.model.cost import CostWeights, RecordedCost
 from posegsa.model.estimate import FilterState
+from posegsa.model.gpu_loop import THREADS, on_gpu
 from posegsa.search.candidates import Candidate, SearchSpace
 
 MEAN = ObjectiveConfig(name="mean")
@@ -167,6 +168,12 @@ def partition(scenarios: int, agents: int, *, shards: int = 1, piecewise: bool =
     return Partition(groups=groups, scenarios=each, chunks=chunks, agents=chunk)
 
 
+def blocks(scenarios: int, agents: int, *, shards: int = 1) -> Partition:
+    """The same for a GPU, whose kernel runs THREADS agents on one scenario in each block."""
+    chunks = _round_up(_ceil_div(agents, THREADS), shards // math.gcd(scenarios, shards))
+    return Partition(groups=scenarios, scenarios=1, chunks=chunks, agents=THREADS)
+
+
 def _round_up(count: int, step: int) -> int:
     """`count`, rounded up to a multiple of `step`."""
     return step * _ceil_div(count, step)
@@ -199,10 +206,12 @@ def agent_costs(
     count = batch.samples.time.shape[0], jax.tree.leaves(agents)[0].shape[0]
     shards = 1 if axis is None else lax.axis_size(axis)
     on_cpu = jax.default_backend() == "cpu"
-    cut = partition(*count, shards=shards, piecewise=on_cpu)
+    if on_gpu() and cost is None and elementwise(batch.filter):
+        cut = blocks(*count, shards=shards)
+    else:
+        cut = partition(*count, shards=shards, piecewise=on_cpu)
 
-    def piece(part: Array) -> Array:
-        group, chunk = part // cut.chunks, part % cut.chunks
+    def piece(group: Array, chunk: Array) -> Array:
         given = batch.samples, batch.initial, batch.begin, batch.end, batch.recorded
         each = _part(given, group, cut.scenarios, count[0])
         some = _part(agents, chunk, cut.agents, count[1])
@@ -240,7 +249,14 @@ def agent_costs(
     mine = jnp.arange(cut.groups * cut.chunks // shards)
     if axis is not None:
         mine = mine + lax.axis_index(axis).astype(mine.dtype) * mine.size
-    costs = lax.map(piece, mine) if on_cpu else jax.vmap(piece)(mine)
+    if on_cpu or axis is not None:
+        each = lax.map if on_cpu else lambda run, parts: jax.vmap(run)(parts)
+        costs = each(lambda part: piece(part // cut.chunks, part % cut.chunks), mine)
+    else:
+        # Over chunks within groups, so that chunks share a scenario's samples.
+        chunks = jnp.arange(cut.chunks)
+        of_group = jax.vmap(piece, in_axes=(None, 0))
+        costs = jax.vmap(of_group, in_axes=(0, None))(jnp.arange(cut.groups), chunks)
     if axis is not None:
         costs = lax.all_gather(costs, axis, tiled=True)
     costs = costs.reshape(cut.groups, cut.chunks, cut.scenarios, cut.agents)

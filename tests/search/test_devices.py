@@ -123,7 +123,7 @@ def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(task, monkeypatch)
     box, rng = task.space.box, np.random.default_rng(0)
     vectors = rng.uniform(box.lower, box.upper, (AGENTS, 22)).astype(np.float32)
     in_pieces = searching.on_all_devices(task)(vectors)
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")  # a GPU: `test_gpu_loop`
     mesh = devices.mesh_of(jax.devices()[:2])
 
     def at_once(vectors, problem, space):
