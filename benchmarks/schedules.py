@@ -141,9 +141,8 @@ FAMILY_START = {"initial_attitude": 1.05, "initial_position": 3.3, "initial_vect
 """A third of 180 deg and of 10 m, and the vectors' biases."""
 
 
-def experiments(name: str, seed: int) -> dict[str, tuple[config.Experiment, bool]]:
+def experiments(family: config.Experiment, seed: int) -> dict[str, tuple[config.Experiment, bool]]:
     """The experiment of each contender on a family, and whether it is searched."""
-    family = config.load(name)
     if isinstance(family.filter, config.KalmanConfig) and family.filter.belief != "off":
         role, base = "belief", family
     else:
@@ -302,15 +301,18 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="seed of the first search")
     parser.add_argument("--scenarios", type=int, default=200)
     parser.add_argument("--set", type=int, default=10, help="which held-out scenarios")
+    parser.add_argument(
+        "--settings", nargs="+", default=[], metavar="KEY=VALUE", help="of the family"
+    )
     parser.add_argument("--only", nargs="+", help="contenders beside the controller (all)")
     options = parser.parse_args()
     posegsa.enable_fast_path()
     keys = held_out_keys(0, options.scenarios, options.set)
-    family = config.load(options.family)
+    family = config.override(config.load(options.family), options.settings)
     for seed in range(options.first, options.first + options.seeds):
         found: dict[str, tuple[Searched | None, np.ndarray]] = {}
         one = family
-        for name, (contender, searched) in experiments(options.family, seed).items():
+        for name, (contender, searched) in experiments(family, seed).items():
             if options.only and name not in (CONTROLLER, *options.only):
                 continue
             one = contender
