@@ -24,14 +24,21 @@ class Loss(NamedTuple):
         """Whether the interval excludes 0."""
         return self.low > 0 or self.high < 0
 
+    @property
+    def size(self) -> str:
+        """How much less or more the other filter errs."""
+        return f"{abs(self.mean):.3g} {self.unit} {'less' if self.mean > 0 else 'more'}"
+
+    @property
+    def interval(self) -> str:
+        """Its ends, of the size."""
+        low, high = (self.low, self.high) if self.mean > 0 else (-self.high, -self.low)
+        return f"{low:.3g} to {high:.3g}"
+
     def __str__(self) -> str:
-        less = self.mean > 0
-        size = f"{abs(self.mean):.3g} {self.unit} {'less' if less else 'more'}"
-        ends = (self.low, self.high) if less else (-self.high, -self.low)
-        if not all(map(math.isfinite, ends)):
-            return f"{size} (too few data for an interval)"
-        zero = "excludes" if self.sure else "includes"
-        return f"{size} ({ends[0]:.3g} to {ends[1]:.3g}, {zero} 0)"
+        if not (math.isfinite(self.low) and math.isfinite(self.high)):
+            return f"{self.size} (too few data for an interval)"
+        return f"{self.size} ({self.interval}, {'excludes' if self.sure else 'includes'} 0)"
 
 
 def verdict(
@@ -66,8 +73,9 @@ def verdict(
     known = all(math.isfinite(loss.low) for loss in losses)
     if known and not any(loss.sure and loss.mean > 0 for loss in losses):
         return (
-            f"On {where} no filter is surely better than this one, {own}: {first} errs "
-            f"{_listed(losses)}{then}{_intervals(losses)}, so judge on more data "
+            f"On {where} no filter is surely better than this one, {own}. {_upper(first)} errs "
+            f"{_joined([loss.size for loss in losses])} (95 % intervals: "
+            f"{', '.join(loss.interval for loss in losses)}){then}. Judge on more data "
             "(`posegsa evaluate`) before you change."
         )
     how = f", {advice[first]}" if first in advice else ""
@@ -85,5 +93,13 @@ def _intervals(losses: Sequence[Loss]) -> str:
 
 
 def _listed(losses: Sequence[Loss]) -> str:
-    *first, last = map(str, losses)
+    return _joined(list(map(str, losses)))
+
+
+def _joined(words: Sequence[str]) -> str:
+    *first, last = words
     return f"{', '.join(first)} and {last}" if first else last
+
+
+def _upper(name: str) -> str:
+    return name[0].upper() + name[1:]

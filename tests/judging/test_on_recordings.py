@@ -50,8 +50,10 @@ def test_one_that_is_better_for_sure_is_to_be_taken_and_how() -> None:
     assert "EKF, which errs 0.5 deg less (0.2 to 0.8, excludes 0) than this filter, 1 deg" in words
     assert words.endswith("take it, `posegsa tune kalman`.")
     words = sentence("these", "1 deg", {"EKF": [chance]}, {}, advice)
-    assert "(-0.2 to 1.2, includes 0)" in words
-    assert words.startswith("On these no filter is surely better than this one, 1 deg: EKF errs")
+    assert words.startswith(
+        "On these no filter is surely better than this one, 1 deg. EKF errs 0.5 deg less "
+        "(95 % intervals: -0.2 to 1.2). Judge on more data"
+    )
     assert "take it" not in words
 
 
