@@ -89,7 +89,8 @@ class DataCheck:
             if not self.unobservable or "accelerometer" in self.recording.sensors:
                 parts.append(f"No mistake was found: the sensors agree with {self._compared}.")
             if settings := self.settings:
-                parts.append(f"These noises as a configuration:\n\n{settings}")
+                use = "save it as mine.toml, then `posegsa replay mine.toml FILE`"
+                parts.append(f"These noises as a configuration ({use}):\n\n{settings}")
         return "\n\n".join(parts)
 
     @property

@@ -29,5 +29,6 @@ def check_something_is_seen(
         f"{name}: has no vectors and no landmarks, so that nothing corrects an estimate{told}; "
         "allowed in a CSV file: columns v0_x v0_y v0_z of a vector and l0_x l0_y l0_z of a "
         f"landmark, or others that {name}.csv.toml beside it names, in Python columns= of "
-        f"Recording.from_csv (docs/recordings.md){imu}"
+        "Recording.from_csv; in an .npz file: vectors (N, n, 3) and vector_references, or the same "
+        f"of landmarks (docs/recordings.md){imu}"
     )
