@@ -18,6 +18,7 @@ from jax.extend import core, source_info_util
 
 from posegsa.arguments import refuse
 from posegsa.errors import ArgumentError
+from posegsa.model.sensor_loops import kept_as_loops
 
 
 @dataclass(frozen=True)
@@ -427,7 +428,7 @@ def traced(
     """The results of a function as values, and the records that it returns them in."""
     leaves, structure = jax.tree.flatten(arguments)
     shapes = [jax.ShapeDtypeStruct((), dtype)] * len(leaves)
-    with jax.enable_x64(dtype == np.float64):
+    with jax.enable_x64(dtype == np.float64), kept_as_loops():
         try:
             closed, shape = jax.make_jaxpr(
                 lambda *flat: function(*jax.tree.unflatten(structure, flat)), return_shape=True

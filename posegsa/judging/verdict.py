@@ -72,10 +72,11 @@ def verdict(
     then = "".join(f"; then {name}, {_listed(each)}" for name, each in rest)
     known = all(math.isfinite(loss.low) for loss in losses)
     if known and not any(loss.sure and loss.mean > 0 for loss in losses):
+        ends = [loss.interval for loss in losses]
         return (
             f"On {where} no filter is surely better than this one, {own}. {_upper(first)} errs "
-            f"{_joined([loss.size for loss in losses])} (95 % intervals: "
-            f"{', '.join(loss.interval for loss in losses)}){then}. Judge on more data "
+            f"{_joined([loss.size for loss in losses])} (95 % interval{'s' * (len(ends) > 1)}: "
+            f"{', '.join(ends)}){then}. Judge on more data "
             "(`posegsa evaluate`) before you change."
         )
     how = f", {advice[first]}" if first in advice else ""

@@ -15,6 +15,13 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 THREADS = 32
 """Agents in one block of the kernel: a warp, so that few agents already use many processors."""
+KNOWN = {
+    *("abs", "add", "div", "integer_pow", "mul", "neg", "pow", "rsqrt", "sign", "sqrt", "square"),
+    *("sub", "atan2", "cos", "exp", "log", "sin", "tan", "tanh", "floor", "max", "min"),
+    *("eq", "ge", "gt", "le", "lt", "ne", "and", "not", "or", "xor", "is_finite", "select_n"),
+    *("broadcast_in_dim", "convert_element_type", "reshape", "jit", "pjit"),
+}
+"""Operations that a kernel may have: elementwise ones that Pallas lowers by Triton."""
 MOST_OPERATIONS = 4000
 """In the step of a kernel. The paper's observer has 1200 and compiles in 15 s, with vector biases
 2100 in a minute; a Kalman filter of 18 states has 8500, which took over three minutes."""
@@ -33,13 +40,14 @@ def last_of_scan(
     Derivatives and `vmap` are those of `lax.scan`; `vmap` runs a block for each lane.
 
     Args:
-        step: elementwise, of operations that Pallas can lower by Triton, over agents (THREADS,).
+        step: elementwise, over agents (THREADS,).
         start: leaves (THREADS,).
         rows: (N, n) numbers of each step, passed as n scalars.
 
     Returns:
-        What computes the last carry. None if the step has more than MOST_OPERATIONS, or an array
-        in it is neither a scalar nor one number of each agent, or a given one is not floating.
+        What computes the last carry. None if the step has more than MOST_OPERATIONS or others than
+        those that are KNOWN, an array in it is neither a scalar nor one number of each agent, or
+        the carry or a constant is not floating.
     """
     carry, structure = jax.tree.flatten(start)
     width = rows.shape[1]
@@ -50,11 +58,16 @@ def last_of_scan(
     if any(jnp.shape(leaf) != (THREADS,) for leaf in carry):
         return None
     traced = jax.make_jaxpr(flat)(carry, [rows[0, i] for i in range(width)])
-    operations = _operations(traced)
-    given = all(jnp.issubdtype(a.dtype, jnp.floating) for a in (*traced.consts, *carry))
-    arrays = [*traced.consts, *(v.aval for one in operations for v in one.outvars)]
-    shapes = {jnp.shape(a) for a in arrays}
-    if not (given and shapes <= {(), (1,), (THREADS,)} and len(operations) <= MOST_OPERATIONS):
+    operations, kinds = _operations(traced), [(a.shape, a.dtype) for a in carry]
+    shapes = {jnp.shape(v.aval) for one in operations for v in one.outvars}
+    if not (
+        all(jnp.issubdtype(a.dtype, jnp.floating) for a in (*traced.consts, *carry))
+        and {jnp.shape(a) for a in traced.consts} <= {(), (THREADS,)}
+        and [(a.shape, a.dtype) for a in traced.out_avals] == kinds  # nothing is stored
+        and shapes <= {(), (1,), (THREADS,)}
+        and {one.primitive.name for one in operations} <= KNOWN
+        and len(operations) <= MOST_OPERATIONS
+    ):
         return None
 
     def at(consts: list[Array], carry: list[Array], row: list[Array]) -> list[Array]:
@@ -112,6 +125,6 @@ def _kernel(
     return pl.pallas_call(
         kernel,
         out_shape=[jax.ShapeDtypeStruct(a.shape, a.dtype) for a in carry],
-        interpret=not on_gpu(),
+        interpret=not on_gpu(),  # in tests
         compiler_params=triton.CompilerParams(num_warps=THREADS // 32, num_stages=1),
     )(*inputs, rows)

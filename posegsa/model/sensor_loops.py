@@ -5,7 +5,9 @@ can't index the arrays of such a loop (`model.gpu_loop`), so there the step is w
 sensor; XLA's own loops over time are a third faster so too.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import jax
@@ -13,6 +15,18 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from posegsa.model.gpu_loop import on_gpu
+
+_KEPT = ContextVar("kept", default=False)
+
+
+@contextmanager
+def kept_as_loops() -> Iterator[None]:
+    """Within it loops stay loops on a GPU too: what is traced becomes C."""
+    token = _KEPT.set(True)
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
 
 
 class _Several:
@@ -24,7 +38,7 @@ class _Several:
 
 def stacked(sensors: Iterable[Any]) -> Any:
     """Sensors of one kind, trees of one structure, together for `in_turn`."""
-    join = _Several if on_gpu() else jnp.stack
+    join = _Several if on_gpu() and not _KEPT.get() else jnp.stack
     return jax.tree.map(lambda *leaves: join(leaves), *sensors)
 
 

@@ -169,8 +169,11 @@ def partition(scenarios: int, agents: int, *, shards: int = 1, piecewise: bool =
 
 
 def blocks(scenarios: int, agents: int, *, shards: int = 1) -> Partition:
-    """The same for a GPU, whose kernel runs THREADS agents on one scenario in each block."""
-    chunks = _round_up(_ceil_div(agents, THREADS), shards // math.gcd(scenarios, shards))
+    """The same for a GPU, whose kernel runs THREADS agents on one scenario in each block.
+
+    Shards get their share of the chunks, of all scenarios.
+    """
+    chunks = _round_up(_ceil_div(agents, THREADS), shards)
     return Partition(groups=scenarios, scenarios=1, chunks=chunks, agents=THREADS)
 
 
@@ -206,7 +209,8 @@ def agent_costs(
     count = batch.samples.time.shape[0], jax.tree.leaves(agents)[0].shape[0]
     shards = 1 if axis is None else lax.axis_size(axis)
     on_cpu = jax.default_backend() == "cpu"
-    if on_gpu() and cost is None and elementwise(batch.filter):
+    in_blocks = on_gpu() and cost is None and elementwise(batch.filter)
+    if in_blocks:
         cut = blocks(*count, shards=shards)
     else:
         cut = partition(*count, shards=shards, piecewise=on_cpu)
@@ -246,19 +250,18 @@ def agent_costs(
             return on_scenario(*jax.tree.map(lambda leaf: leaf[0], each))[None]
         return jax.vmap(on_scenario)(*each)
 
-    mine = jnp.arange(cut.groups * cut.chunks // shards)
+    mine = jnp.arange((cut.chunks if in_blocks else cut.groups * cut.chunks) // shards)
     if axis is not None:
         mine = mine + lax.axis_index(axis).astype(mine.dtype) * mine.size
-    if on_cpu or axis is not None:
+    if in_blocks:
+        # Over chunks within groups, so that chunks share a scenario's samples.
+        of_group = jax.vmap(piece, in_axes=(None, 0))
+        costs = jax.vmap(of_group, in_axes=(0, None))(jnp.arange(cut.groups), mine)
+    else:
         each = lax.map if on_cpu else lambda run, parts: jax.vmap(run)(parts)
         costs = each(lambda part: piece(part // cut.chunks, part % cut.chunks), mine)
-    else:
-        # Over chunks within groups, so that chunks share a scenario's samples.
-        chunks = jnp.arange(cut.chunks)
-        of_group = jax.vmap(piece, in_axes=(None, 0))
-        costs = jax.vmap(of_group, in_axes=(0, None))(jnp.arange(cut.groups), chunks)
     if axis is not None:
-        costs = lax.all_gather(costs, axis, tiled=True)
+        costs = lax.all_gather(costs, axis, axis=1 if in_blocks else 0, tiled=True)
     costs = costs.reshape(cut.groups, cut.chunks, cut.scenarios, cut.agents)
     costs = costs.transpose(0, 2, 1, 3).reshape(cut.groups * cut.scenarios, -1)
     return costs[: count[0], : count[1]]

@@ -38,6 +38,7 @@ from posegsa.filters.leads import Leads
 from posegsa.filters.noise_schedules import NoiseGains, NoiseSignal, NoiseSignals
 from posegsa.filters.observer import BeliefSettings, ObserverGains
 from posegsa.filters.rollout import Estimates, run_filter
+from posegsa.model import sensor_loops
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import prepare
 from posegsa.model.schedules import KnotGain, RampGain
@@ -496,6 +497,12 @@ def test_the_start_of_a_kalman_filter_says_from_how_far_off_it_converges():
     degrees, metres = map(float, re.findall(r"([\d.]+) (?:deg|m) ", words)[:2])
     assert degrees == pytest.approx(np.degrees(assumed["initial_attitude"]), rel=0.01)
     assert metres == pytest.approx(assumed["initial_position"], rel=0.01)
+
+
+def test_the_header_is_the_same_where_jax_runs_on_a_gpu(monkeypatch):
+    case, want = case_of("believing"), header_of("believing")
+    monkeypatch.setattr(sensor_loops, "on_gpu", lambda: True)
+    assert filter_to_c(case.filter, vectors=case.vectors, landmarks=case.landmarks) == want
 
 
 @pytest.mark.quick

@@ -52,7 +52,7 @@ def test_one_that_is_better_for_sure_is_to_be_taken_and_how() -> None:
     words = sentence("these", "1 deg", {"EKF": [chance]}, {}, advice)
     assert words.startswith(
         "On these no filter is surely better than this one, 1 deg. EKF errs 0.5 deg less "
-        "(95 % intervals: -0.2 to 1.2). Judge on more data"
+        "(95 % interval: -0.2 to 1.2). Judge on more data"
     )
     assert "take it" not in words
 

@@ -9,7 +9,7 @@ import pytest
 from jax import Array
 
 from posegsa.model import sensor_loops
-from posegsa.model.sensor_loops import apart, in_turn, stacked
+from posegsa.model.sensor_loops import apart, in_turn, kept_as_loops, stacked
 
 SENSORS = [(jnp.float32(i), (jnp.full(3, i + 0.5, jnp.float32), None)) for i in range(4)]
 
@@ -33,3 +33,5 @@ def test_sensors_written_out_are_those_of_a_loop(monkeypatch: pytest.MonkeyPatch
     got = run()
     assert "scan" not in str(jax.make_jaxpr(lambda: run())())
     jax.tree.map(np.testing.assert_array_equal, got, want)
+    with kept_as_loops():  # for C
+        assert "scan" in str(jax.make_jaxpr(lambda: run())())
