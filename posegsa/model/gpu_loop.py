@@ -32,9 +32,7 @@ def on_gpu() -> bool:
     return jax.default_backend() == "gpu"
 
 
-def last_of_scan(
-    step: Callable[[Any, list[Array]], Any], start: Any, rows: Array
-) -> Callable[[], Any] | None:
+def last_of_scan(step: Callable[[Any, list[Array]], Any], start: Any, rows: Array) -> Any | None:
     """The loop `start = step(start, rows[k])` over all k as one kernel, if a kernel can run it.
 
     Derivatives and `vmap` are those of `lax.scan`; `vmap` runs a block for each lane.
@@ -45,7 +43,7 @@ def last_of_scan(
         rows: (N, n) numbers of each step, passed as n scalars.
 
     Returns:
-        What computes the last carry. None if the step has more than MOST_OPERATIONS or others than
+        The last carry. None if the step has more than MOST_OPERATIONS or others than
         those that are KNOWN, an array in it is neither a scalar nor one number of each agent, or
         the carry or a constant is not floating.
     """
@@ -88,7 +86,7 @@ def last_of_scan(
 
         return lax.scan(body, carry, rows)[0]
 
-    return lambda: jax.tree.unflatten(structure, loop(list(traced.consts), carry, rows))
+    return jax.tree.unflatten(structure, loop(list(traced.consts), carry, rows))
 
 
 def _operations(traced: ClosedJaxpr) -> list[Any]:

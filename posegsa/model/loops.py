@@ -35,8 +35,9 @@ def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -
         def after(carry: Any, row: list[Array]) -> tuple[Any, Any]:
             return step(carry, jax.tree.unflatten(structure, row))
 
-        if last := last_of_scan(after, start, rows):
-            return last(), None
+        last = last_of_scan(after, start, rows)
+        if last is not None:
+            return last, None
 
     def on_row(carry: Any, row: Array) -> tuple[Any, Any]:
         return step(carry, jax.tree.unflatten(structure, _along(row, 0)))

@@ -39,7 +39,7 @@ def step(pull: Array) -> Callable[[Any, list[Array]], Any]:
 def by_kernel(pull: Array, start: Any, rows: Array) -> Any:
     last = last_of_scan(step(pull), start, rows)
     assert last is not None
-    return last()
+    return last
 
 
 def by_scan(pull: Array, start: Any, rows: Array) -> Any:
