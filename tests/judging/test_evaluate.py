@@ -307,7 +307,7 @@ def test_a_difference_that_may_be_chance_is_called_so():
     noise = np.resize([1.0, -1.0], given.scenarios)
     own = given.contenders[TUNED].metrics.cost
     given = changed(given, CONSTANT, cost=own - 0.01 + noise)
-    words = r"no filter is surely better .* 0.01 of the cost less \(95 % interval: "
+    words = r"no filter is surely better .* 0.01 of the cost less \(95 % intervals: "
     assert re.search(words, given.verdict())
     assert given.better == {}
 
