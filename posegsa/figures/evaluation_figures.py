@@ -60,6 +60,8 @@ _BANDS = (TUNED, NOT_TUNED, CONSTANT, AS_CONFIGURED)
 _APART = 10.0
 """The axis of differences is logarithmic on both sides of 0 if the largest difference is more than
 this factor times the median one."""
+_AROUND = 7
+"""Scenarios on either side of one that its running median is of, at least."""
 _GOLDEN = 0.6180339887498949  # any number of its multiples modulo 1 is spread evenly
 
 
@@ -166,7 +168,7 @@ def plot_bands(evaluation: Evaluation) -> Figure:
             for name, band in values.items():
                 if not np.isfinite(band).any():  # the gain of a filter without one
                     continue
-                look = _STYLES[name]
+                look = _STYLES[name] | {"zorder": 4 if name == evaluation.own else 3}
                 if name in _BANDS:
                     style.plot_band(ax, time[part], band[:, part], name, look)
                 else:
@@ -179,6 +181,8 @@ def plot_bands(evaluation: Evaluation) -> Figure:
             style.scale_errors(row[0], np.array(list(values.values())))
     for column, part in zip(axes.T, parts, strict=True):
         style.finish_time(column, time[part])
+    if not set(bands) <= set(_BANDS):
+        axes[0, 0].plot([], [], color=style.BLACK, linewidth=0.7, label="thin: 95 %")
     style.legend_above(figure, axes[0, 0])
     return figure
 
@@ -282,11 +286,9 @@ def _scale_differences(ax: Axes, differences: list[float]) -> None:
 
 
 def _running_median(angle: np.ndarray, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Running medians of angle [deg] and cost, ordered by angle; NaN where infinite."""
+    """Angles [deg] in order and the median of the costs around each; NaN where infinite."""
     order = np.argsort(angle, kind="stable")
-    width = min(len(angle), max(5, len(angle) // 10))
-    width -= width % 2 == 0  # odd, so that the median is one of the values
-    windows = np.lib.stride_tricks.sliding_window_view
-    middle = windows(angle[order], width)[:, width // 2]
     costs = np.where(np.isnan(cost), np.inf, cost)[order]
-    return middle, finite(np.median(windows(costs, width), axis=1))
+    half = max(_AROUND, len(angle) // 20)
+    around = (costs[max(0, i - half) : i + half + 1] for i in range(len(costs)))
+    return angle[order], finite(np.array([np.median(near) for near in around]))

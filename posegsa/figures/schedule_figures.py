@@ -20,7 +20,6 @@ from posegsa.model.fuzzy import FuzzyController
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colorbar import Colorbar
     from matplotlib.figure import Figure
 
 FIGURES: list[ResultFigure] = []
@@ -62,9 +61,7 @@ def plot_surface(controller: FuzzyController, output: str = GAIN) -> Figure:
         scale("function", functions=_SQUARE_ROOT)
     ax.set(xlim=(0, 1), ylim=(0, 1))
     mesh = ax.pcolormesh(axis, axis, gain, cmap="cividis", shading="nearest", rasterized=True)
-    bar = style.colour_bar(figure, mesh, ax, output)
-    if gain.count():
-        _plot_contours(ax, axis, gain, bar)
+    style.colour_bar(figure, mesh, ax, output)
     low, high = controller.output_range
     unit, last = (" 1/s", "gain") if output == GAIN else ("", "$K$")
     middle = f"$K$ = {controller.offset + 0.5 * (low + high):g}{unit}"
@@ -226,17 +223,3 @@ def _hatch(
             span(start, end, label=label, zorder=3, **look)
     if gaps:
         style.legend_above(figure, ax)
-
-
-def _plot_contours(ax: Axes, axis: np.ndarray, gain: np.ma.MaskedArray, bar: Colorbar) -> None:
-    """Contour lines of a surface (y, x), with their levels as ticks and lines of the colour bar.
-
-    Labels on the lines would hide them, because many are close together between two rules.
-    """
-    low, high = gain.min(), gain.max()
-    levels = [level for level in style.ticks(7).tick_values(low, high) if low < level < high]
-    if levels:
-        colours = ["white" if level < 0.5 * (low + high) else "black" for level in levels]
-        lines = ax.contour(axis, axis, gain, levels=levels, colors=colours, linewidths=0.8)
-        bar.add_lines(lines)
-        bar.set_ticks(levels)

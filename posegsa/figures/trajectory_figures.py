@@ -143,7 +143,7 @@ def plot_vector_biases(trajectory: Trajectory) -> Figure | None:
         return None
     figure, (ax,) = style.panels(1, 3.4)
     for i, values in enumerate(errors.T):
-        label, colour = f"vector {i + 1}", _EACH[i % len(_EACH)]
+        label, colour = f"vector {i}", _EACH[i % len(_EACH)]
         ax.plot(trajectory.time, finite(values), label=label, color=colour, linewidth=1.2)
     style.error_panel(ax, "Error of the bias [vector's unit]", finite(errors))
     style.finish_time([ax], trajectory.time)

@@ -99,7 +99,7 @@ class Columns(Numbers):
         """The names of all columns for `count` items."""
         if not self.each:
             return list(self.names)
-        return [name.replace("#", str(i)) for i in range(1, count + 1) for name in self.names]
+        return [name.replace("#", str(i)) for i in range(count) for name in self.names]
 
 
 Cost = Annotated[float, Numbers(allow="infinite")]

@@ -239,7 +239,7 @@ def test_a_table_holds_every_bit():
         ("gain_1_s", gain),
         ("pitch_deg", gain),
         ("y_est_m", made.position_est[:, 1]),
-        ("bias_error_v2", made.vector_bias_error[:, 1]),
+        ("bias_error_v1", made.vector_bias_error[:, 1]),
     )
     for name, ours in columns:
         column = found[:, header.index(name)]
@@ -279,8 +279,8 @@ def test_a_table_has_a_row_a_sample_under_names_with_units():
     assert float(table["bias_est_vy_m_s"]) == made.bias_est[7, 4]
     assert float(table["gain_used_1_s"]) == made.gain_used[7]
     assert float(table["scaled_rate"]) == made.rate[7]
-    assert float(table["bias_est_v2_y"]) == made.vector_bias_est[7, 4]
-    assert float(table["bias_error_v1"]) == made.vector_bias_error[7, 0]
+    assert float(table["bias_est_v1_y"]) == made.vector_bias_est[7, 4]
+    assert float(table["bias_error_v0"]) == made.vector_bias_error[7, 0]
 
 
 @pytest.mark.parametrize("vectors", [0, 1, 3])
@@ -289,12 +289,12 @@ def test_a_table_has_columns_for_each_vector(vectors):
     made = replace(trajectory(5), vector_bias_est=biases, vector_bias_error=errors)
     text = to_csv(made)
     header, found = text.splitlines()[0].split(","), numbers_of(text)
-    named = [f"bias_est_v{i}_{axis}" for i in range(1, vectors + 1) for axis in "xyz"]
-    named += [f"bias_error_v{i}" for i in range(1, vectors + 1)]
+    named = [f"bias_est_v{i}_{axis}" for i in range(vectors) for axis in "xyz"]
+    named += [f"bias_error_v{i}" for i in range(vectors)]
     assert [
         name
         for name in header
-        if name.startswith(("bias_est_v1", "bias_est_v2", "bias_est_v3", "bias_error"))
+        if name.startswith(("bias_est_v0", "bias_est_v1", "bias_est_v2", "bias_error"))
     ] == named
     places = [header.index(name) for name in named]
     np.testing.assert_array_equal(found[:, places], np.concatenate([biases, errors], axis=1))
