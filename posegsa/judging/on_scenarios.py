@@ -14,6 +14,9 @@ from posegsa.words import counted, text_table
 
 Costs = Annotated[np.ndarray, Numbers("training scenarios", allow="infinite")]
 
+SURE_ENOUGH = 0.9
+"""Below this share of samples inside the 95 % bound, a covariance is called too small."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class OnScenarios:
@@ -74,6 +77,12 @@ class OnScenarios:
             one_run,
             self.endurance.table((self.evaluation.own, self.beside), endurance_scenarios),
         ]
+        inside = float(np.mean(self.evaluation.contenders[self.evaluation.own].metrics.nees_inside))
+        if inside < SURE_ENOUGH:  # not without a covariance, where it is NaN
+            parts.append(
+                f"It is too sure: the true pose is inside its 95 % bound at {100 * inside:.0f} % "
+                "of the samples of the second window. Do not trust its covariance."
+            )
         if self.trust.rule_weights is not None:
             parts.append(
                 f"{self.trust.used_rules} of {self.trust.rule_weights.size} rules carry 1 % or "
