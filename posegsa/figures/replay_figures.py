@@ -8,13 +8,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.figures import style
 from posegsa.figures.style import finite, styled
-from posegsa.figures.trajectory_figures import angles, draw_gains, positions
+from posegsa.figures.trajectory_figures import angles, draw_gains, plot_uncertainty, positions
 from posegsa.judging.replayed import Replay, attitude_sigmas, roll_pitch_yaw
+from posegsa.judging.trajectory import trajectory
 from posegsa.recordings.bridging import gaps_in
 
 if TYPE_CHECKING:
@@ -24,13 +26,16 @@ if TYPE_CHECKING:
 MAX_POINTS = 4000
 """Maximum number of points in a curve; with more samples the maximum of each bin is drawn."""
 
-REPLAY_FIGURES = ("attitude_errors", "attitude", "biases", "position", "gain")
+REPLAY_FIGURES = ("attitude_errors", "attitude", "biases", "position", "gain", "uncertainty")
 """Names of the figures of a replay."""
 
 
 def draw_replay(replay: Replay, figures: Sequence[str] = REPLAY_FIGURES) -> dict[str, Figure]:
     """Figures of a replay by name, without those that have nothing to show."""
-    plots = (plot_attitude_errors, plot_attitude, plot_biases, plot_position, plot_gain)
+    plots = (
+        *(plot_attitude_errors, plot_attitude, plot_biases, plot_position, plot_gain),
+        plot_replay_uncertainty,
+    )
     drawn = {
         name: plot(replay)
         for name, plot in zip(REPLAY_FIGURES, plots, strict=True)
@@ -138,6 +143,20 @@ def plot_gain(replay: Replay) -> Figure | None:
     style.finish_time([ax], replay.recording.time)
     style.legend_above(figure, ax)
     return figure
+
+
+def plot_replay_uncertainty(replay: Replay) -> Figure | None:
+    """Errors of attitude [deg] and position [cm] by axis with bands of two sigma over time [s].
+
+    None without a true position, or for a filter without a covariance.
+    """
+    truth, some = replay.recording.truth, _Some(replay.recording.time)
+    if truth is None or truth.position is None or replay.estimates.covariance is None:
+        return None
+    drawn = jax.tree.map(some.of, replay.estimates)
+    vectors = np.zeros(drawn.vector_bias.shape[1:])  # their true biases are not drawn
+    pose = some.of(truth.rotation), some.of(truth.position)
+    return plot_uncertainty(trajectory(*pose, drawn, vectors))
 
 
 class _Some:

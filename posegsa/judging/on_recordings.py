@@ -1,6 +1,6 @@
 """The performance of a tuned filter on recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
@@ -287,15 +287,21 @@ def _rows(scores: Sequence[RecordingScore]) -> list[list[str]]:
 
 
 def mean_errors(scores: Sequence[RecordingScore]) -> Rmse:
-    """Means over recordings of the root mean squares of the judged samples."""
+    """Means over recordings of the errors, NEES and NIS of the judged samples."""
     judged = [one.errors["judged"] for one in scores]
-    positions = [one.position for one in judged if one.position is not None]
+
+    def mean(values: Iterable[float | None]) -> float | None:
+        known = [value for value in values if value is not None]
+        return float(np.mean(known)) if known else None
+
     return Rmse(
         total=float(np.mean([one.total for one in judged])),
         heading=float(np.mean([one.heading for one in judged])),
         inclination=float(np.mean([one.inclination for one in judged])),
-        position=float(np.mean(positions)) if positions else None,
+        position=mean(one.position for one in judged),
         samples=sum(one.samples for one in judged),
+        nees=mean(one.nees for one in judged),
+        nis=mean(one.nis for one in judged),
     )
 
 

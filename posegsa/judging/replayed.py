@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 from posegsa.filters.attitude import LONGEST_PAUSE
 from posegsa.filters.rollout import Estimates
 from posegsa.model.se3 import euler_angles
-from posegsa.recordings.accuracy import RecordingErrors, Rmse, recording_errors
+from posegsa.recordings.accuracy import RecordingErrors, Rmse, known_mean, recording_errors
 from posegsa.recordings.recording import Recording
 from posegsa.words import counted, text_table
 
@@ -127,13 +127,13 @@ def replayed_on(recording: Recording, estimates: Estimates) -> Replay:
 
 HEADS = (
     *("recording", "phase", "samples", "total\n[deg]", "heading\n[deg]", "inclination\n[deg]"),
-    "position\n[cm]",
+    *("position\n[cm]", "NEES,\n6 if right", "NIS,\n1 if right"),
 )
 """Column headers of an error table."""
 
 
 def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]:
-    """A row for each phase of a recording; the position is empty if it is not judged.
+    """A row for each phase of a recording; the position, NEES and NIS are empty if unknown.
 
     A phase that is all that is judged has no row of its own.
     """
@@ -149,15 +149,16 @@ def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]
             str(each.samples),
             *(f"{a:.2f}" for a in (each.total, each.heading, each.inclination)),
             "" if each.position is None else f"{100 * each.position:.2f}",
+            *("" if number is None else f"{number:.2f}" for number in (each.nees, each.nis)),
         ]
         for first, (phase, each) in enumerate(named.items())
     ]
 
 
 def with_heads(heads: list[str], rows: list[list[str]]) -> list[list[str]]:
-    """The rows of an error table, the heads first; without positions where none is judged."""
-    table = [heads, *rows]
-    return table if any(row[-1] for row in rows) else [row[:-1] for row in table]
+    """The rows of an error table, the heads first; without columns that are empty."""
+    filled = [i for i in range(len(heads)) if any(row[i] for row in rows)]
+    return [[row[i] for i in filled] for row in (heads, *rows)]
 
 
 def replay_table(replays: Sequence[Replay]) -> str:
@@ -166,11 +167,7 @@ def replay_table(replays: Sequence[Replay]) -> str:
     for each in replays:
         if each.errors is not None:
             rows += error_rows(each.recording.name, each.errors.rmse().items())
-    told = [
-        f"{each.recording.name}: has no truth, so that no errors can be shown"
-        for each in replays
-        if each.errors is None
-    ]
+    told = [_without_truth(each) for each in replays if each.errors is None]
     told += [f"{each.recording.name}: {words}" for each in replays if (words := each.found_anew)]
     told += [
         f"  warning: {each.recording.name}: the filter is lost: {words}; `posegsa check` looks for "
@@ -180,3 +177,12 @@ def replay_table(replays: Sequence[Replay]) -> str:
     ]
     table = [text_table(with_heads([*HEADS], rows))] if rows else []
     return "\n".join([*table, *told])
+
+
+def _without_truth(replay: Replay) -> str:
+    """What can be said of a replay on a recording without a truth."""
+    words = f"{replay.recording.name}: has no truth, so that no errors can be shown"
+    nis = replay.estimates.nis
+    return (
+        words if nis is None else f"{words}; NIS {known_mean(nis):.2f}, 1 if the noises are right"
+    )

@@ -9,6 +9,8 @@ Data 6(7):72, 2021):
     inclination  2 arccos sqrt(w^2 + z^2)        the part that remains after that rotation
 
 The position error is |P_est - P|, as in other tools for trajectories.
+
+NEES and NIS tell whether the covariance of a filter that has one is right (`filters.uncertainty`).
 """
 
 from typing import Annotated, NamedTuple
@@ -21,13 +23,15 @@ from posegsa.errors import RecordingError
 from posegsa.filters.rollout import Estimates
 from posegsa.model.measurements import finite_array
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.rotations import inverse, product, quaternions
+from posegsa.recordings.rotations import inverse, log, product, quaternions
 from posegsa.settings.arrays import Numbers
 
 BLOCK, FEWEST_BLOCKS = 5.0, 4
 """Length of a block [s], and the blocks that a recording needs for a confidence interval."""
 BLOCKS_IN_FIGURE = 20
 """Number of blocks, for a figure, of a recording that is too short for such an interval."""
+FAR = 1e-4
+"""Angle [rad] below which the limit of c in `pose_nees` is as accurate as its closed form."""
 AnyNumber = Annotated[float, Numbers(allow="any")]
 """A number that may be NaN, or infinite if a filter diverged."""
 
@@ -41,7 +45,10 @@ class AttitudeErrors(NamedTuple):
 
 
 class Rmse(NamedTuple):
-    """Root mean square errors over the samples of a phase; NaN if it has none."""
+    """Root mean square errors, and means of NEES and NIS, over the samples of a phase.
+
+    NaN if it has none.
+    """
 
     total: AnyNumber
     """[deg]"""
@@ -53,6 +60,10 @@ class Rmse(NamedTuple):
     """[m]; None if the position is not judged."""
     samples: int
     """Number of samples."""
+    nees: AnyNumber | None = None
+    """6 if the filter's covariance is right; None without one, or if the position is not judged."""
+    nis: AnyNumber | None = None
+    """1 if the filter's noises are right; None for a filter without a covariance."""
 
 
 class Blocks(NamedTuple):
@@ -79,9 +90,13 @@ class RecordingErrors(NamedTuple):
     """(K,) [m]; None if the position is not judged."""
     masks: dict[str, np.ndarray]
     """The samples of each phase, "judged" first."""
+    nees: np.ndarray | None = None
+    """(K,) normalised estimation error squared of the pose; None as in `Rmse`."""
+    nis: np.ndarray | None = None
+    """(K,) normalised innovation squared, NaN where nothing was measured; None as in `Rmse`."""
 
     def rmse(self) -> dict[str, Rmse]:
-        """Root mean square errors by phase, without empty phases."""
+        """Root mean square errors, NEES and NIS by phase, without empty phases."""
         return {
             name: Rmse(
                 total=rmse(self.attitude.total, mask),
@@ -89,6 +104,8 @@ class RecordingErrors(NamedTuple):
                 inclination=rmse(self.attitude.inclination, mask),
                 position=None if self.position is None else rmse(self.position, mask),
                 samples=int(mask.sum()),
+                nees=None if self.nees is None else known_mean(self.nees[mask]),
+                nis=None if self.nis is None else known_mean(self.nis[mask]),
             )
             for name, mask in self.masks.items()
             if name == "judged" or mask.any()
@@ -162,6 +179,45 @@ def rmse(errors: ArrayLike, mask: ArrayLike | None = None) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def known_mean(values: ArrayLike) -> float:
+    """Mean of values (K,), without those that are NaN; NaN if there are no others."""
+    known = np.asarray(values, np.float64)
+    known = known[~np.isnan(known)]
+    return float(np.mean(known)) if known.size else float("nan")
+
+
+def pose_nees(estimates: Estimates, rotation: ArrayLike, position: ArrayLike) -> np.ndarray:
+    """Normalised estimation error squared (K,) of poses, `filters.uncertainty.nees` on the host.
+
+    NaN where anything is not finite, or the covariance is singular.
+
+    Args:
+        estimates: Of a filter with a covariance.
+        rotation: (K, 3, 3) true R, body to inertial.
+        position: (K, 3) true P [m], inertial frame.
+    """
+    R_est, P_est, sigma, R, P = (
+        np.asarray(a, np.float64)
+        for a in (estimates.rotation, estimates.position, estimates.covariance, rotation, position)
+    )
+    known = np.full(len(R), True)
+    for each in (R_est, P_est, sigma, R, P):
+        known &= np.isfinite(each).all(axis=tuple(range(1, each.ndim)))
+    known[known] = np.linalg.det(sigma[known]) > 0
+    R_est, P_est, sigma, R, P = (each[known] for each in (R_est, P_est, sigma, R, P))
+    theta = log(product(inverse(quaternions(R_est)), quaternions(R)))
+    moved = np.einsum("kji,kj->ki", R_est, P - P_est)
+    # rho = V^-1 moved, V^-1 = I - 1/2 [theta]x + c [theta]x^2, c = (1 - t/2 cot t/2) / t^2.
+    t = np.linalg.norm(theta, axis=1, keepdims=True)
+    far = np.where(t > FAR, t, 1.0)
+    c = np.where(t > FAR, (1 - 0.5 * far / np.tan(0.5 * far)) / far**2, 1 / 12)
+    once = np.cross(theta, moved)
+    xi = np.concatenate([theta, moved - 0.5 * once + c * np.cross(theta, once)], axis=1)
+    found = np.full(len(known), np.nan)
+    found[known] = np.einsum("ki,ki->k", xi, np.linalg.solve(sigma, xi[..., None])[..., 0])
+    return found
+
+
 def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErrors:
     """The errors of estimates of a recording.
 
@@ -178,6 +234,9 @@ def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErr
     masks = recording.masks()
     truth = recording.truth
     assert truth is not None
+    nees = None
+    if estimates.covariance is not None and truth.position is not None:
+        nees = pose_nees(estimates, truth.rotation, truth.position)
     return RecordingErrors(
         time=recording.time,
         attitude=attitude_errors(estimates.rotation, truth.rotation),
@@ -185,4 +244,6 @@ def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErr
         if truth.position is None
         else position_errors(estimates.position, truth.position),
         masks=masks,
+        nees=nees,
+        nis=None if estimates.nis is None else np.asarray(estimates.nis, np.float64),
     )

@@ -20,7 +20,7 @@ from posegsa.errors import ArgumentError, MeasurementError, RunFolderError
 from posegsa.figures import replay_figures
 from posegsa.figures.replay_figures import draw_replay
 from posegsa.figures.style import png
-from posegsa.judging.replayed import Replay, replay_table, replayed_on
+from posegsa.judging.replayed import Replay, position_sigmas, replay_table, replayed_on
 from posegsa.judging.result import Result
 from posegsa.recordings.recording import Recording
 from posegsa.saving.replay_files import folder_names
@@ -70,6 +70,39 @@ def test_the_table_has_no_position_where_none_is_judged(
     assert "position" not in without
     both = replay_table(posegsa.replay(result, [blind, recording]))
     assert "position" in both
+
+
+def test_a_filter_with_a_covariance_says_how_right_it_is(
+    result: Result, recording: Recording, tmp_path: Path
+) -> None:
+    (found,) = posegsa.replay("kalman", recording, out=tmp_path / "out", figures=["uncertainty"])
+    assert found.errors is not None
+    judged = found.errors.rmse()["judged"]
+    nis = np.asarray(found.estimates.nis)[found.errors.masks["judged"]]
+    assert judged.nis == pytest.approx(np.nanmean(nis))
+    head, *_, row = replay_table([found]).splitlines()
+    assert head.split()[-2:] == ["NEES,", "NIS,"]
+    assert row.split()[-2:] == [f"{judged.nees:.2f}", f"{judged.nis:.2f}"]
+    assert (tmp_path / "out" / "bench" / "uncertainty.png").exists()
+    assert "NEES" not in replay_table(posegsa.replay(result, recording)), "it has no covariance"
+    blind = Recording.from_arrays(**bench(truth_rotation=None, truth_position=None))
+    assert "; NIS 0." in replay_table(posegsa.replay("kalman", blind))
+
+
+def test_errors_are_drawn_by_axis_with_two_sigma(result: Result, recording: Recording) -> None:
+    (found,) = posegsa.replay("kalman", recording)
+    figure = replay_figures.plot_replay_uncertainty(found)
+    assert figure is not None
+    assert recording.truth is not None
+    off = 100 * (recording.truth.position - found.estimates.position)
+    sigmas = 100 * position_sigmas(found.estimates)
+    for i, ax in enumerate(figure.axes[3:]):
+        (line,) = ax.lines
+        np.testing.assert_allclose(line.get_ydata(), off[:, i], atol=1e-3)
+        drawn = np.abs(ax.collections[0].get_paths()[0].vertices[:, 1])
+        assert drawn.max() == pytest.approx(2 * sigmas[:, i].max(), rel=1e-5)
+    observed = posegsa.replay(result, recording)[0]
+    assert replay_figures.plot_replay_uncertainty(observed) is None
 
 
 def test_a_filter_that_is_lost_is_said_to_be(result: Result, recording: Recording) -> None:

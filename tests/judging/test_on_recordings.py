@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from posegsa.judging.evaluation import IMU_AS_IT_COMES
-from posegsa.judging.on_recordings import OnRecordings, RecordingScore, losses
+from posegsa.judging.on_recordings import OnRecordings, RecordingScore, losses, mean_errors
 from posegsa.judging.verdict import Loss
 from posegsa.judging.verdict import verdict as sentence
 from posegsa.recordings.accuracy import Blocks, Rmse
@@ -135,3 +135,15 @@ def test_intervals_are_those_of_paired_blocks() -> None:
     # The short blocks of a short recording are for a figure: neighbours are correlated.
     short = [one._replace(duration=10.0) for one in filter(1.0, 0.0)]
     assert np.isnan(losses(short, short)[0].low)
+
+
+def test_the_mean_of_several_recordings_has_their_nees_and_nis() -> None:
+    own = [
+        score._replace(errors={"judged": score.errors["judged"]._replace(nees=nees, nis=1.0)})
+        for score, nees in ((*scores(0.2, 0.02), 5.0), (*scores(0.4, 0.04), 8.0))
+    ]
+    assert mean_errors(own).nees == 6.5
+    assert mean_errors(scores(0.2, 0.02)).nees is None
+    table = OnRecordings(training=[], held_out=own).table()
+    assert table.splitlines()[-1].split()[-2:] == ["6.50", "1.00"]
+    assert "NEES" not in OnRecordings(training=[], held_out=scores(0.2, 0.02)).table()

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from helpers.recordings import motion
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 import posegsa
 from posegsa.errors import MeasurementError, RecordingError
 from posegsa.filters.rollout import Estimates
-from posegsa.recordings.accuracy import BLOCKS_IN_FIGURE
+from posegsa.recordings.accuracy import BLOCKS_IN_FIGURE, pose_nees
 from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.quick
@@ -102,3 +103,54 @@ def test_root_mean_squares() -> None:
     blind = Recording.from_arrays(**motion(truth_rotation=None, truth_position=None))
     with pytest.raises(RecordingError, match="has no truth"):
         blind.masks()
+
+
+def uncertain(count: int = 50) -> tuple[Estimates, np.ndarray, np.ndarray, np.ndarray]:
+    """Estimates with a covariance, true rotations and positions, and the NEES."""
+    rng = np.random.default_rng(0)
+    xi = rng.normal(0, 0.8, (count, 6))
+    xi[0, :3], xi[1, :3] = 0, 1e-6
+    twist = np.zeros((count, 4, 4))
+    twist[:, [2, 0, 1], [1, 2, 0]] = xi[:, :3]
+    twist[:, [1, 2, 0], [2, 0, 1]] = -xi[:, :3]
+    twist[:, :3, 3] = xi[:, 3:]
+    pose = np.tile(np.eye(4), (count, 1, 1))
+    pose[:, :3, :3] = Rotation.random(count, rng=1).as_matrix()
+    pose[:, :3, 3] = rng.normal(0, 5.0, (count, 3))
+    true = pose @ expm(twist)
+    root = rng.normal(size=(count, 6, 6))
+    sigma = root @ root.swapaxes(1, 2) + 0.1 * np.eye(6)
+    recording = Recording.from_arrays(**motion(count))
+    plain = estimates_of(recording, Rotation.identity(), [0.0, 0.0, 0.0])
+    found = plain._replace(rotation=pose[:, :3, :3], position=pose[:, :3, 3], covariance=sigma)
+    nees = [x @ np.linalg.inv(s) @ x for x, s in zip(xi, sigma, strict=True)]
+    return found, true[:, :3, :3], true[:, :3, 3], np.array(nees)
+
+
+def test_the_nees_is_of_the_logarithm_of_the_pose_error() -> None:
+    estimates, rotation, position, expected = uncertain()
+    found = pose_nees(estimates, rotation, position)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_the_nees_is_unknown_where_a_number_is() -> None:
+    estimates, rotation, position, expected = uncertain()
+    position[3], rotation[4] = np.nan, np.nan
+    sigma = np.array(estimates.covariance)
+    sigma[5], sigma[6] = 0, np.inf
+    found = pose_nees(estimates._replace(covariance=sigma), rotation, position)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found)), [3, 4, 5, 6])
+    np.testing.assert_allclose(found[7:], expected[7:], rtol=1e-9)
+
+
+def test_nees_and_nis_are_means_over_a_phase() -> None:
+    recording = Recording.from_arrays(**motion(), judged=np.arange(400) < 300)
+    estimates = estimates_of(recording, Rotation.identity(), [0.3, 0.0, 0.0])
+    nis = np.where(np.arange(400) % 2, np.nan, np.arange(400))
+    sure = np.tile(0.1**2 * np.eye(6), (400, 1, 1))
+    found = posegsa.recording_errors(estimates._replace(nis=nis, covariance=sure), recording)
+    judged = found.rmse()["judged"]
+    assert judged.nees == pytest.approx(9.0)
+    assert judged.nis == pytest.approx(np.mean(np.arange(0, 300, 2)))
+    without = posegsa.recording_errors(estimates, recording).rmse()["judged"]
+    assert (without.nees, without.nis) == (None, None)
