@@ -90,6 +90,7 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
                 [*NOISES, *BELIEF_ALSO],
             ),
             GATE: (gate, []),
+            f"{GATE}{NOISES_TOO}": (gate, NOISES),
             HUBER: (gate, []),
             f"{HUBER}{NOISES_TOO}": (gate, NOISES),
             POWER: ({"belief": "ramp"}, BELIEF_ALSO),
