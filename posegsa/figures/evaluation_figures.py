@@ -61,7 +61,7 @@ _APART = 10.0
 """The axis of differences is logarithmic on both sides of 0 if the largest difference is more than
 this factor times the median one."""
 _AROUND = 7
-"""Scenarios on either side of one that its running median is of, at least."""
+"""Least number of scenarios on either side in a running median."""
 _GOLDEN = 0.6180339887498949  # any number of its multiples modulo 1 is spread evenly
 
 

@@ -1,4 +1,4 @@
-"""The figures of a replay over time: errors, attitude, biases, position and gain.
+"""The figures of a replay over time: errors, attitude, biases, position, gain and uncertainty.
 
 Lines are broken where the recording has a gap.
 """
@@ -155,8 +155,10 @@ def plot_replay_uncertainty(replay: Replay) -> Figure | None:
         return None
     drawn = jax.tree.map(some.of, replay.estimates)
     vectors = np.zeros(drawn.vector_bias.shape[1:])  # their true biases are not drawn
-    pose = some.of(truth.rotation), some.of(truth.position)
-    return plot_uncertainty(trajectory(*pose, drawn, vectors))
+    # Differences in double precision: a position in single precision may be off by centimetres.
+    off = some.of(truth.position - np.asarray(replay.estimates.position, np.float64))
+    drawn = drawn._replace(position=np.zeros_like(off))
+    return plot_uncertainty(trajectory(some.of(truth.rotation), off, drawn, vectors))
 
 
 class _Some:

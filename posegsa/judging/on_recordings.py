@@ -61,7 +61,7 @@ class RecordingScore(NamedTuple):
     notes: list[str]
     """What was bridged, dropped or left out."""
     errors: Annotated[dict[str, Rmse], AfterValidator(_with_what_is_judged)]
-    """Root mean squares by phase, "judged" first."""
+    """Errors, NEES and NIS by phase, "judged" first."""
     fingerprint: str
     """SHA-256 of the recording's numbers (`recordings.fingerprint`)."""
     blocks: Blocks
@@ -202,7 +202,7 @@ class OnRecordings:
         return f"on what was held out it errs more than the best constant gains, {errors}"
 
     def table(self) -> str:
-        """Root mean square errors by recording and phase, and those of other filters."""
+        """Errors, NEES and NIS by recording and phase, and those of other filters."""
         return text_table(self.rows())
 
     def rows(self) -> list[list[str]]:

@@ -80,8 +80,9 @@ class OnScenarios:
         inside = float(np.mean(self.evaluation.contenders[self.evaluation.own].metrics.nees_inside))
         if inside < SURE_ENOUGH:  # not without a covariance, where it is NaN
             parts.append(
-                f"It is too sure: the true pose is inside its 95 % bound at {100 * inside:.0f} % "
-                "of the samples of the second window. Do not trust its covariance."
+                f"{called(self.evaluation.own).capitalize()} is too sure: once settled, the true "
+                f"pose is inside its 95 % bound at {100 * inside:.0f} % of the samples. Do not "
+                "trust its covariance."
             )
         if self.trust.rule_weights is not None:
             parts.append(

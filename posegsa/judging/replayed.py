@@ -149,7 +149,7 @@ def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]
             str(each.samples),
             *(f"{a:.2f}" for a in (each.total, each.heading, each.inclination)),
             "" if each.position is None else f"{100 * each.position:.2f}",
-            *("" if number is None else f"{number:.2f}" for number in (each.nees, each.nis)),
+            *("" if number is None else f"{number:.3g}" for number in (each.nees, each.nis)),
         ]
         for first, (phase, each) in enumerate(named.items())
     ]
@@ -157,12 +157,12 @@ def error_rows(name: str, phases: Iterable[tuple[str, Rmse]]) -> list[list[str]]
 
 def with_heads(heads: list[str], rows: list[list[str]]) -> list[list[str]]:
     """The rows of an error table, the heads first; without columns that are empty."""
-    filled = [i for i in range(len(heads)) if any(row[i] for row in rows)]
+    filled = [i for i in range(len(heads)) if i == 0 or any(row[i] for row in rows)]
     return [[row[i] for i in filled] for row in (heads, *rows)]
 
 
 def replay_table(replays: Sequence[Replay]) -> str:
-    """Root mean square errors by recording and phase, as text, and what else is to be known."""
+    """Errors, NEES and NIS by recording and phase, as text, and what else is to be known."""
     rows = []
     for each in replays:
         if each.errors is not None:
@@ -183,6 +183,6 @@ def _without_truth(replay: Replay) -> str:
     """What can be said of a replay on a recording without a truth."""
     words = f"{replay.recording.name}: has no truth, so that no errors can be shown"
     nis = replay.estimates.nis
-    return (
-        words if nis is None else f"{words}; NIS {known_mean(nis):.2f}, 1 if the noises are right"
-    )
+    if nis is not None and np.isfinite(mean := known_mean(nis)):
+        words += f"; NIS {mean:.3g}, 1 if the noises are right"
+    return words

@@ -63,7 +63,8 @@ class Rmse(NamedTuple):
     nees: AnyNumber | None = None
     """6 if the filter's covariance is right; None without one, or if the position is not judged."""
     nis: AnyNumber | None = None
-    """1 if the filter's noises are right; None for a filter without a covariance."""
+    """1 if the filter's noises are right, NaN where nothing was measured; None for a filter that
+    has none."""
 
 
 class Blocks(NamedTuple):
@@ -91,9 +92,10 @@ class RecordingErrors(NamedTuple):
     masks: dict[str, np.ndarray]
     """The samples of each phase, "judged" first."""
     nees: np.ndarray | None = None
-    """(K,) normalised estimation error squared of the pose; None as in `Rmse`."""
+    """(K,) normalised estimation error squared of the pose (`pose_nees`); None as in `Rmse`."""
     nis: np.ndarray | None = None
-    """(K,) normalised innovation squared, NaN where nothing was measured; None as in `Rmse`."""
+    """(K,) normalised innovation squared, NaN where nothing was measured, infinite where the
+    estimate is not finite; None as in `Rmse`."""
 
     def rmse(self) -> dict[str, Rmse]:
         """Root mean square errors, NEES and NIS by phase, without empty phases."""
@@ -189,7 +191,8 @@ def known_mean(values: ArrayLike) -> float:
 def pose_nees(estimates: Estimates, rotation: ArrayLike, position: ArrayLike) -> np.ndarray:
     """Normalised estimation error squared (K,) of poses, `filters.uncertainty.nees` on the host.
 
-    NaN where anything is not finite, or the covariance is singular.
+    NaN where the truth is unknown; infinite where the estimate is not finite, or its covariance not
+    positive definite.
 
     Args:
         estimates: Of a filter with a covariance.
@@ -200,10 +203,9 @@ def pose_nees(estimates: Estimates, rotation: ArrayLike, position: ArrayLike) ->
         np.asarray(a, np.float64)
         for a in (estimates.rotation, estimates.position, estimates.covariance, rotation, position)
     )
-    known = np.full(len(R), True)
-    for each in (R_est, P_est, sigma, R, P):
-        known &= np.isfinite(each).all(axis=tuple(range(1, each.ndim)))
-    known[known] = np.linalg.det(sigma[known]) > 0
+    found = np.where(_finite(R, P), np.inf, np.nan)
+    known = _finite(R_est, P_est, sigma, R, P)
+    known[known] = np.linalg.eigvalsh(sigma[known])[:, 0] > 0
     R_est, P_est, sigma, R, P = (each[known] for each in (R_est, P_est, sigma, R, P))
     theta = log(product(inverse(quaternions(R_est)), quaternions(R)))
     moved = np.einsum("kji,kj->ki", R_est, P - P_est)
@@ -213,9 +215,14 @@ def pose_nees(estimates: Estimates, rotation: ArrayLike, position: ArrayLike) ->
     c = np.where(t > FAR, (1 - 0.5 * far / np.tan(0.5 * far)) / far**2, 1 / 12)
     once = np.cross(theta, moved)
     xi = np.concatenate([theta, moved - 0.5 * once + c * np.cross(theta, once)], axis=1)
-    found = np.full(len(known), np.nan)
     found[known] = np.einsum("ki,ki->k", xi, np.linalg.solve(sigma, xi[..., None])[..., 0])
     return found
+
+
+def _finite(*arrays: np.ndarray) -> np.ndarray:
+    """Whether all numbers of arrays (K, ...) are finite, (K,)."""
+    each = [np.isfinite(a).all(axis=tuple(range(1, a.ndim))) for a in arrays]
+    return np.all(each, axis=0)
 
 
 def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErrors:
@@ -234,9 +241,11 @@ def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErr
     masks = recording.masks()
     truth = recording.truth
     assert truth is not None
-    nees = None
+    nees = nis = None
     if estimates.covariance is not None and truth.position is not None:
         nees = pose_nees(estimates, truth.rotation, truth.position)
+    if estimates.nis is not None:
+        nis = np.where(_finite(np.asarray(estimates.rotation)), estimates.nis, np.inf)
     return RecordingErrors(
         time=recording.time,
         attitude=attitude_errors(estimates.rotation, truth.rotation),
@@ -245,5 +254,5 @@ def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErr
         else position_errors(estimates.position, truth.position),
         masks=masks,
         nees=nees,
-        nis=None if estimates.nis is None else np.asarray(estimates.nis, np.float64),
+        nis=nis,
     )

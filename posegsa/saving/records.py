@@ -176,7 +176,11 @@ def _strict_record(kind: Any) -> Any:
     hints = typing.get_type_hints(kind, include_extras=True)
     if dataclasses.is_dataclass(kind):
         hints = {field.name: hints[field.name] for field in stored_fields(kind)}
-    fields: dict[str, Any] = {name: (_strict(hint), ...) for name, hint in hints.items()}
+    # A tuple's field with a default may be missing: runs of earlier versions lack it.
+    defaults = getattr(kind, "_field_defaults", {})
+    fields: dict[str, Any] = {
+        name: (_strict(hint), defaults.get(name, ...)) for name, hint in hints.items()
+    }
     model = pydantic.create_model(name, __config__=pydantic.ConfigDict(extra="forbid"), **fields)
     return Annotated[model, AfterValidator(partial(_made, kind))]
 

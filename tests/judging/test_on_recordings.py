@@ -145,5 +145,5 @@ def test_the_mean_of_several_recordings_has_their_nees_and_nis() -> None:
     assert mean_errors(own).nees == 6.5
     assert mean_errors(scores(0.2, 0.02)).nees is None
     table = OnRecordings(training=[], held_out=own).table()
-    assert table.splitlines()[-1].split()[-2:] == ["6.50", "1.00"]
+    assert table.splitlines()[-1].split()[-2:] == ["6.5", "1"]
     assert "NEES" not in OnRecordings(training=[], held_out=scores(0.2, 0.02)).table()

@@ -106,8 +106,8 @@ def test_an_estimate_that_is_not_finite_is_named_with_where_and_since_when() -> 
 def test_a_covariance_that_is_too_small_is_told(inside, told) -> None:
     share = np.full(40, inside)
     given = result(evaluation=changed(evaluation(), TUNED, nees_inside=share))
-    sentence = "the true pose is inside its 95 % bound at 55 % of the samples"
-    assert (sentence in given.summary()) == told
+    sentence = "The tuned filter is too sure: once settled, the true pose is inside its 95 % bound"
+    assert (f"{sentence} at 55 % of the samples" in given.summary()) == told
 
 
 def test_warnings_name_what_went_wrong(sound):

@@ -133,14 +133,25 @@ def test_the_nees_is_of_the_logarithm_of_the_pose_error() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-def test_the_nees_is_unknown_where_a_number_is() -> None:
+def test_the_nees_is_unknown_where_the_truth_is_and_infinite_where_the_estimate_fails() -> None:
     estimates, rotation, position, expected = uncertain()
     position[3], rotation[4] = np.nan, np.nan
-    sigma = np.array(estimates.covariance)
-    sigma[5], sigma[6] = 0, np.inf
-    found = pose_nees(estimates._replace(covariance=sigma), rotation, position)
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found)), [3, 4, 5, 6])
-    np.testing.assert_allclose(found[7:], expected[7:], rtol=1e-9)
+    sigma, place = np.array(estimates.covariance), np.array(estimates.position)
+    sigma[5], sigma[6], sigma[7] = 0, np.inf, np.diag([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
+    place[8] = np.nan
+    found = pose_nees(estimates._replace(covariance=sigma, position=place), rotation, position)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found)), [3, 4])
+    np.testing.assert_array_equal(np.flatnonzero(np.isinf(found)), [5, 6, 7, 8])
+    np.testing.assert_allclose(found[9:], expected[9:], rtol=1e-9)
+
+
+def test_the_nis_of_a_filter_that_is_lost_is_infinite() -> None:
+    recording = Recording.from_arrays(**motion())
+    estimates = estimates_of(recording, Rotation.identity(), [0.0, 0.0, 0.0])
+    rotation, nis = np.array(estimates.rotation), np.ones(400)
+    rotation[200:], nis[200:] = np.nan, np.nan
+    lost = estimates._replace(rotation=rotation, nis=nis)
+    assert posegsa.recording_errors(lost, recording).rmse()["judged"].nis == np.inf
 
 
 def test_nees_and_nis_are_means_over_a_phase() -> None:

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from posegsa.errors import RunFolderError
 from posegsa.optimisers import GSA, History
+from posegsa.recordings.accuracy import Rmse
 from posegsa.saving.records import from_json, to_csv, to_json
 from posegsa.settings.arrays import Cost, Numbers
 
@@ -298,3 +299,14 @@ def test_a_table_has_columns_for_each_vector(vectors):
     ] == named
     places = [header.index(name) for name in named]
     np.testing.assert_array_equal(found[:, places], np.concatenate([biases, errors], axis=1))
+
+
+def test_a_field_with_a_default_may_be_missing_as_in_an_earlier_version() -> None:
+    errors = Rmse(total=1.0, heading=0.5, inclination=0.25, position=0.1, samples=9, nees=6.5)
+    stored = json.loads(to_json(errors, 5))
+    del stored["nees"], stored["nis"]
+    read = from_json(Rmse, json.dumps(stored), 5, FILE, edited=True)
+    assert read == errors._replace(nees=None)
+    del stored["total"]
+    with pytest.raises(RunFolderError, match="total"):
+        from_json(Rmse, json.dumps(stored), 5, FILE, edited=True)
