@@ -36,9 +36,9 @@ class Job(NamedTuple):
     in_c: str
     """Its row in docs/export.md."""
     controller: str
-    """How its cost with the controller compares with that with fixed gains or noises, and with that
-    with the best simpler schedule, a straight line or a smooth gain (`schedules.py`, `results.py`).
-    """
+    """The cost with the paper's controller against fixed gains or noises, and against the best
+    simpler schedule, a straight line or a smooth gain. By hand, from the searches of `schedules.py`
+    and `results.py`."""
 
 
 JOBS = (
