@@ -26,6 +26,7 @@ import posegsa
 from posegsa import config
 from posegsa.config import KALMAN_ALSO
 from posegsa.filters.noise_schedules import NoiseGains
+from posegsa.judging.baselines import replayed
 from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import candidate_of, configured_filter
 from posegsa.model.schedules import RampGain
@@ -323,6 +324,12 @@ def main() -> None:
             found[name] = best, held_out(one, candidate, keys)
             after = "" if best is None else f" after {best.evaluations} evaluations"
             print(f"  {name}: {found[name][1].mean():.2f}{after}", flush=True)
+        controller = found[CONTROLLER][0]
+        assert controller is not None
+        clock = one.replace(**{"filter.unknown": "clock", "tuned": config.TunedConfig()})
+        if isinstance(controller.candidate.schedule, NoiseGains) and clock.filter.belief == "off":
+            again = replayed(tuning_problem(clock), controller.candidate)
+            found["the controller's outputs, replayed"] = None, held_out(clock, again, keys)
         if isinstance(family.filter, config.ObserverConfig):
             tuned = candidate_of(configured_filter(family), family)
             found["the observer as shipped"] = None, held_out(family, tuned, keys)

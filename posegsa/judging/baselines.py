@@ -7,14 +7,16 @@ tuned for each baseline too, so it has the filter, signal and weights that suit 
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from posegsa import config, steps
 from posegsa.filters.kalman import KalmanFilter
+from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.filters.observer import Observer, ObserverGains
 from posegsa.judging.description import (
     TITLES,
@@ -33,10 +35,10 @@ from posegsa.judging.evaluation import (
     SWITCH,
     UNTUNED,
 )
-from posegsa.judging.metrics import error_tracks
+from posegsa.judging.metrics import error_tracks, estimates_on
 from posegsa.judging.tuned_kalman import VARIANTS, kalman_experiment, tune_kalman
 from posegsa.judging.untuned import untuned_kalman
-from posegsa.model.schedules import ConstantGain, KnotGain
+from posegsa.model.schedules import ConstantGain, KnotGain, ScheduleInputs
 from posegsa.optimisers import Optimiser
 from posegsa.search.candidates import Candidate
 from posegsa.search.configured_filters import filter_of
@@ -45,7 +47,7 @@ from posegsa.search.keys import keys, training_keys
 from posegsa.search.population import ScenarioBatch, costs_by_scenario, over_scenarios
 from posegsa.search.problem import TuningProblem
 from posegsa.search.run_search import first_search, run_search, tell_share
-from posegsa.search.schedule_spaces import schedule_space
+from posegsa.search.schedule_spaces import knot_times, schedule_space
 from posegsa.search.search_spaces import observer_space, search_space
 
 CONSTANT_GAINS = 201
@@ -98,19 +100,40 @@ def searchable(experiment: config.Experiment) -> config.Experiment:
 def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
     """The tuned filter's gains over time, replayed without feedback.
 
-    They are the geometric mean over the training scenarios. The tuned schedule's advantage over
-    this baseline is the benefit of feedback from the error.
+    They are the geometric mean over the training scenarios, for a Kalman filter the outputs of its
+    schedule of the unknown, at the knots of a clock. The tuned schedule's advantage over this
+    baseline is the benefit of feedback from the error. Belief stays as it is.
     """
     training: ScenarioBatch = problem.training
-    gain = np.asarray(error_tracks(tuned, training).gain, np.float64)
-    time = np.asarray(training.samples.time[0], np.float64)
-    kept = np.unique(np.linspace(0, len(time) - 1, REPLAYED_KNOTS).round().astype(int))
+    schedule, time = tuned.schedule, np.asarray(training.samples.time[0], np.float64)
+    if isinstance(schedule, NoiseGains):
+        kept, gain = knot_times(problem.experiment.scenario.duration), _noise_gains(tuned, training)
+    else:
+        kept = time[np.unique(np.linspace(0, len(time) - 1, REPLAYED_KNOTS).round().astype(int))]
+        gain = np.asarray(error_tracks(tuned, training).gain, np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        log_gain = np.mean(np.log(np.maximum(gain[:, kept], 1e-3)), axis=0)
-    schedule = KnotGain(*(jnp.asarray(a, training.dtype) for a in (time[kept], log_gain)))
-    if isinstance(tuned.schedule, ObserverGains):  # belief stays as it is
-        schedule = tuned.schedule._replace(gain=schedule)
-    return Candidate(schedule, tuned.values, tuned.keys)
+        log_gain = np.interp(kept, time, np.mean(np.log(np.maximum(gain, 1e-3)), axis=0))
+    knots = KnotGain(*(jnp.asarray(a, training.dtype) for a in (kept, log_gain)))
+    if isinstance(schedule, NoiseGains):
+        return Candidate(schedule._replace(unknown=knots), tuned.values, tuned.keys)
+    if isinstance(schedule, ObserverGains):
+        return Candidate(schedule._replace(gain=knots), tuned.values, tuned.keys)
+    return Candidate(knots, tuned.values, tuned.keys)
+
+
+def _noise_gains(tuned: Candidate, training: ScenarioBatch) -> np.ndarray:
+    """(S, N) outputs of the schedule of the unknown on training scenarios, no unit."""
+    schedule, time = cast(Any, tuned.schedule).unknown, training.samples.time
+    each = [estimates_on(tuned, training, i) for i in range(len(time))]
+    error, rate = np.stack([(one.error, one.rate) for one in each], axis=1)
+
+    @jax.jit
+    def gain(error: Array, rate: Array, time: Array) -> Array:
+        # Where no rule fires, which only uncovered terms allow, this is the middle gain.
+        last = jnp.broadcast_to(schedule.initial_gain(), error.shape)
+        return schedule.prepare()(ScheduleInputs(error, rate, time, last)).gain
+
+    return np.asarray(gain(error, rate, time), np.float64)
 
 
 def random_search(problem: TuningProblem) -> Candidate:
@@ -145,7 +168,11 @@ def baselines(experiment: config.Experiment, tuned: Description) -> dict[str, Ba
         if kind != tuned.kind:
             found[name] = Baseline(observer, partial(_schedule, kind=kind))
     if tuned.kind in ("fuzzy", "smooth"):
-        found[REPLAYED] = Baseline(experiment, partial(_replayed, tuned=tuned))
+        found[REPLAYED] = Baseline(experiment, partial(_replayed, tuned=tuned, of=experiment))
+    section = experiment.filter
+    if isinstance(section, config.KalmanConfig) and section.unknown in ("fuzzy", "smooth", "ramp"):
+        clock = experiment.replace(**{"filter.unknown": "clock", "tuned": config.TunedConfig()})
+        found[REPLAYED] = Baseline(clock, partial(_replayed, tuned=tuned, of=experiment))
     found[RANDOM] = Baseline(experiment, _random)
     for name in VARIANTS:
         found[name] = Baseline(kalman_experiment(experiment, name), tune_kalman)
@@ -165,9 +192,8 @@ def _schedule(problem: TuningProblem, kind: str) -> Description:
     return describe(search_baseline(problem, kind), experiment, experiment.search.evaluations)
 
 
-def _replayed(problem: TuningProblem, tuned: Description) -> Description:
-    experiment = problem.experiment
-    return describe(replayed(problem, candidate_of(tuned, experiment)), experiment, 0)
+def _replayed(problem: TuningProblem, tuned: Description, of: config.Experiment) -> Description:
+    return describe(replayed(problem, candidate_of(tuned, of)), problem.experiment, 0)
 
 
 def _random(problem: TuningProblem) -> Description:

@@ -20,8 +20,8 @@ from posegsa.search.problem import TuningProblem
 from posegsa.search.schedule_spaces import KNOTS
 
 AGENTS = 20
-MAX_EVALUATIONS = 1000
-"""Maximum evaluations of a search; one takes as long as many evaluations of the observer."""
+MIN_EVALUATIONS, MAX_EVALUATIONS = 0, 1000
+"""Evaluations of a search; one takes as long as many evaluations of the observer."""
 CHECK_INTERVAL = 200
 """Evaluations between two checks of the improvement."""
 MIN_IMPROVEMENT = 0.01
@@ -75,7 +75,8 @@ def tune_kalman(problem: TuningProblem) -> Description:
         search = go(search, stop)
         best = float(search.best_cost)
         steps.share(stop / optimiser.iterations, best)
-        if best > (1 - MIN_IMPROVEMENT) * before:
+        enough = stop * AGENTS >= MIN_EVALUATIONS
+        if enough and best > (1 - MIN_IMPROVEMENT) * before:
             break
         before = best
     candidate = space.candidate(search.best_position)

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.experiments import tiny
+from scipy.stats import gmean
 
 from posegsa import config
+from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.judging import baselines
 from posegsa.judging.baselines import (
     best_constant,
@@ -19,7 +21,7 @@ from posegsa.judging.baselines import (
     search_baseline,
     searchable,
 )
-from posegsa.judging.description import Description, configured_filter, describe
+from posegsa.judging.description import Description, candidate_of, configured_filter, describe
 from posegsa.judging.evaluation import (
     AS_CONFIGURED,
     CONSTANT,
@@ -31,7 +33,7 @@ from posegsa.judging.evaluation import (
     TUNED,
     UNTUNED,
 )
-from posegsa.judging.metrics import error_tracks, metrics_of
+from posegsa.judging.metrics import error_tracks, estimates_on, metrics_of
 from posegsa.judging.tuned_kalman import VARIANTS
 from posegsa.model.schedules import (
     SCHEDULES,
@@ -185,6 +187,35 @@ def test_replayed_gains_are_means_over_training_scenarios(problem) -> None:
     gain = np.asarray(error_tracks(tuned, problem.training).gain)
     np.testing.assert_allclose(np.exp(schedule.log_gain), np.cbrt(np.prod(gain, axis=0)), rtol=1e-4)
     np.testing.assert_allclose(schedule.time, 0.01 * np.arange(200), atol=1e-6)
+
+
+def test_a_replayed_kalman_filter_is_a_clock_of_its_schedules_mean_output(problem) -> None:
+    of_line = config.override(problem.experiment, ["filter.kind=kalman", "filter.unknown=ramp"])
+    start, slope = 0.1, 1.0
+    line = Description("kalman", {"unknown.start": [start], "unknown.slope": [slope]}, {}, 24)
+    one = baselines.baselines(of_line, line)[REPLAYED]
+    clock = baselines.search_baselines(problem, {REPLAYED: one})[REPLAYED]
+    assert clock.evaluations == 0
+
+    training = baselines.variant_of(problem, of_line).training
+    tuned = candidate_of(line, of_line)
+    error = np.stack([estimates_on(tuned, training, i).error for i in range(3)])
+    gain = 1 + 100 * np.clip(slope * (error - start), 0.0, 1.0)
+    assert gain.min() == 1
+    assert gain.max() > 30
+    at_samples = gmean(gain, axis=0)
+    time = np.array(clock.numbers["unknown.time"])
+    expected = np.exp(np.interp(time, 0.01 * np.arange(200), np.log(at_samples)))
+    np.testing.assert_allclose(np.exp(clock.numbers["unknown.log_gain"]), expected, rtol=1e-4)
+    found = candidate_of(clock, one.experiment).schedule
+    assert isinstance(found, NoiseGains)
+    assert isinstance(found.unknown, KnotGain)
+
+
+@pytest.mark.parametrize("kind", ["off", "clock"])
+def test_a_kalman_filter_without_feedback_has_nothing_to_replay(problem, kind) -> None:
+    own = config.override(problem.experiment, ["filter.kind=kalman", f"filter.unknown={kind}"])
+    assert REPLAYED not in baselines.baselines(own, Description("kalman", {}, {}, 24))
 
 
 def test_random_search_needs_no_library_of_the_runs_own_optimiser(problem, monkeypatch) -> None:
