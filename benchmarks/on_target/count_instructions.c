@@ -45,5 +45,6 @@ static void count(void)
     write_number("steps ", (unsigned)PASSES * SAMPLES);
     write_number("failed ", failed);
     write_number("attitude ",
-                 (unsigned)(posegsa_fabs(state.attitude[0]) * POSEGSA_C(1e6)));
+                 (unsigned)((state.attitude[0] < 0 ? -state.attitude[0] : state.attitude[0]) *
+                            POSEGSA_C(1e6)));
 }

@@ -52,7 +52,7 @@ int main(int argc, char **argv)
         printf("%.2f\n", 1e9 * (seconds() - begin) / count);
     }
     printf("%zu %zu %.0f\n", sizeof(posegsa_state), sizeof(posegsa_measurement),
-           1e6 * (double)posegsa_fabs(state.attitude[0]));
+           1e6 * (double)(state.attitude[0] < 0 ? -state.attitude[0] : state.attitude[0]));
     free(samples);
     return failed;
 }

@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
     run_figures(options.figures)
     result = result_of(options)  # before `locked_folder`, which would make a missing folder
     if is_configuration(options.run):
-        judged = _judged(options, result)
+        print(_words(options, _judged(options, result)))
         print(f"\nNothing was written: {options.run} is a configuration, not the folder of a run.")
         return 0
     with (
@@ -80,7 +80,10 @@ def run(options: argparse.Namespace) -> int:
     ):
         # Load again: another process may have replaced the run before the lock.
         judged = _judged(options, result_of(options))
-        write_result(judged, folder, options.figures, own_checkpoints=True)
+        try:  # what is printed can be cut short, by a closed pipe
+            write_result(judged, folder, options.figures, own_checkpoints=True)
+        finally:
+            print(_words(options, judged))
     print(f"\nWritten to {options.run}: {', '.join(written(judged, options.figures))}")
     return 0
 
@@ -99,22 +102,13 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _judged(options: argparse.Namespace, result: "Result") -> "Result":
-    """The result with the judgement that the command requests; prints it."""
+    """The result with the judgement that the command requests."""
     from posegsa import evaluating
 
     if options.recording is None:
         scenarios = SCENARIOS if options.scenarios is None else options.scenarios
         with Display(quiet=options.quiet):
-            found = evaluating.evaluate(result, scenarios=scenarios, seed=options.seed)
-        judged = found.on_scenarios
-        assert judged is not None
-        print(judged.evaluation.table())
-        long = found.experiment.run.endurance_scenarios
-        print(f"\n{judged.endurance.table((judged.evaluation.own, judged.beside), long)}")
-        print(f"\n{judged.evaluation.verdict()}")
-        for warning in found.warnings():
-            print(f"  warning: {warning}")
-        return found
+            return evaluating.evaluate(result, scenarios=scenarios, seed=options.seed)
     how = options.bridge, options.longest_gap, options.frame, result.frame
     recordings = read(options.recording, options.window, *how)
     training = read(options.training or [], options.training_window, *how)
@@ -124,6 +118,19 @@ def _judged(options: argparse.Namespace, result: "Result") -> "Result":
     for one in (*training, *recordings):
         print(one.describe())
     with Display(quiet=options.quiet):
-        found = evaluating.evaluate(result, recordings=recordings, training=training)
-    print(f"\n{found.summary()}")
-    return found
+        return evaluating.evaluate(result, recordings=recordings, training=training)
+
+
+def _words(options: argparse.Namespace, result: "Result") -> str:
+    """What is printed of a judgement."""
+    judged = result.on_scenarios
+    if options.recording is not None or judged is None:
+        return f"\n{result.summary()}"
+    long = result.experiment.run.endurance_scenarios
+    parts = [
+        judged.evaluation.table(),
+        judged.endurance.table((judged.evaluation.own, judged.beside), long),
+        judged.evaluation.verdict(),
+    ]
+    warnings = (f"\n  warning: {warning}" for warning in result.warnings())
+    return "\n\n".join(parts) + "".join(warnings)

@@ -2,7 +2,9 @@
 
 import json
 import math
+import os
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -144,6 +146,22 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
     drawn = {path.stem for path in (folder / "figures").iterdir()}
     assert drawn == {"costs", "bands"}, "no biases of vectors are estimated"
     assert (folder / "evaluation.txt").read_text().strip() in said.out
+
+
+def test_a_judgement_is_kept_if_nobody_reads_what_is_printed(evaluated, tmp_path, monkeypatch):
+    result, folder = evaluated[1], tmp_path / "run"
+    known = {n: c for n, c in result.on_scenarios.evaluation.contenders.items() if n != REPLAYED}
+    judged = result.on_scenarios
+    before = replace(judged, evaluation=replace(judged.evaluation, contenders=known))
+    posegsa.save(replace(result, on_scenarios=before), folder, figures=())
+    monkeypatch.setattr(evaluating, "evaluate", lambda *_, **__: result)
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w", encoding="utf-8") as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        assert main(["evaluate", str(folder), "--figures", "costs"]) == 1
+        monkeypatch.undo()
+    assert tuple(posegsa.load(folder).on_scenarios.evaluation.contenders) == BESIDE
 
 
 def test_a_filter_that_was_not_searched_is_not_called_tuned(monkeypatch, tmp_path):
