@@ -326,8 +326,9 @@ def main() -> None:
             print(f"  {name}: {found[name][1].mean():.2f}{after}", flush=True)
         controller = found[CONTROLLER][0]
         assert controller is not None
-        clock = one.replace(**{"filter.unknown": "clock", "tuned": config.TunedConfig()})
-        if isinstance(controller.candidate.schedule, NoiseGains) and clock.filter.belief == "off":
+        schedules = controller.candidate.schedule
+        if isinstance(schedules, NoiseGains) and schedules.unknown is not None:
+            clock = one.replace(**{"filter.unknown": "clock", "tuned": config.TunedConfig()})
             again = replayed(tuning_problem(clock), controller.candidate)
             found["the controller's outputs, replayed"] = None, held_out(clock, again, keys)
         if isinstance(family.filter, config.ObserverConfig):

@@ -13,7 +13,7 @@ from jax.typing import ArrayLike
 from posegsa.arguments import check_number, check_type, refuse
 from posegsa.configuring import configured
 from posegsa.errors import MeasurementError, PosegsaWarning
-from posegsa.filters.attitude import LEVELLING, LONGEST_PAUSE, AttitudeFilter
+from posegsa.filters.attitude import AttitudeFilter
 from posegsa.filters.base import Filter, check_filter
 from posegsa.filters.observer import Observer
 from posegsa.filters.online import OnlineLoop, OnlineParameters, OnlineRecord
@@ -23,17 +23,13 @@ from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.first_pose import first_pose
 from posegsa.model.measurements import finite_array
 from posegsa.model.observability import are_collinear, why_attitude_unobservable, why_unobservable
-from posegsa.recordings.bridging import MAX_MEDIAN_STEP
-from posegsa.recordings.frames import GRAVITY
 from posegsa.recordings.imu import references as imu_references
 from posegsa.recordings.start import with_numpy_arrays
+from posegsa.stream_inputs import FirstSamples, StreamedSensors, inertial_signal, references_of
 from posegsa.words import counted
 
 FORMAT = 5
 """Version of the checkpoint's layout."""
-
-FIRST_SAMPLES = 50
-"""Number of the first samples of a stream that show a wrong unit, if all of them do."""
 
 _STILL = np.zeros(3)
 _ORIGIN = np.eye(3), np.zeros(3)
@@ -145,15 +141,15 @@ class PoseFilter:
             position = np.zeros(3) if position is None else position
         if (rotation is None) != (position is None):
             refuse("rotation, position: one without the other", "both, or neither")
-        vectors = _references("vector_references", vector_references)
-        landmarks = _references("landmark_references", landmark_references)
+        vectors = references_of("vector_references", vector_references)
+        landmarks = references_of("landmark_references", landmark_references)
         if isinstance(source, Result):
             filter = _tuned(source, len(vectors), len(landmarks))
         else:
             filter = _by_hand(source)
         of_vectors, of_landmarks = _weights(filter)
-        self._vectors = _Sensors("vector", vectors, vector_weights, of_vectors)
-        self._landmarks = _Sensors("landmark", landmarks, landmark_weights, of_landmarks)
+        self._vectors = StreamedSensors("vector", vectors, vector_weights, of_vectors)
+        self._landmarks = StreamedSensors("landmark", landmarks, landmark_weights, of_landmarks)
         self._dtype, self._kind = _dtype_of(filter), type(filter).__name__
         limits.VECTOR.checked("vector_references", vectors)
         if self._inertial and len(vectors) == 2 and are_collinear(*vectors):
@@ -182,7 +178,7 @@ class PoseFilter:
                     "both; or two directions that are not parallel, and a landmark",
                 )
         gravity = float(np.linalg.norm(vectors[0])) if self._inertial and len(vectors) else None
-        self._first = _FirstSamples(gravity)
+        self._first = FirstSamples(gravity)
         self._begin(self._start)
 
     def update(
@@ -232,7 +228,7 @@ class PoseFilter:
         if acc is not None or mag is not None:
             if not self._inertial or vectors is not None:
                 refuse("acc, mag", "without vectors, and only for the attitude filter (imu)")
-            vectors = [_signal("acc", acc), _signal("mag", mag)]
+            vectors = [inertial_signal("acc", acc), inertial_signal("mag", mag)]
         omega = self._held("angular_velocity", angular_velocity, 0, ages, limits.ANGULAR_VELOCITY)
         still = velocity is None and self._attitude_only
         v = self._held("velocity", _STILL if still else velocity, 1, ages, limits.VELOCITY)
@@ -533,94 +529,6 @@ class PoseFilter:
         )
 
 
-class _FirstSamples:
-    """The first samples of a stream, which warn of a wrong unit that all of them show."""
-
-    def __init__(self, gravity: float | None) -> None:
-        self._gravity = gravity
-        """Its length in the accelerometer's unit; None without one."""
-        self._longest = MAX_MEDIAN_STEP if gravity is None else LONGEST_PAUSE
-        self._steps: list[float] = []
-        self._forces: list[float] = []
-
-    def see(self, time_step: float, vectors: np.ndarray) -> None:
-        """Take a sample's time step [s] and vectors (n, 3), 0 for a missing one."""
-        if len(self._steps) < FIRST_SAMPLES:
-            self._steps.append(time_step)
-            if len(self._steps) == FIRST_SAMPLES and min(self._steps) > self._longest:
-                pause = "each is a pause, after which the attitude is found anew; "
-                _warn(
-                    f"time_step: all of the first {FIRST_SAMPLES} are over {self._longest:.2g} s "
-                    f"(median {np.median(self._steps):.3g} s); {pause if self._gravity else ''}"
-                    "allowed: the time to the next sample in seconds (milliseconds / 1000)"
-                )
-        if self._gravity and len(self._forces) < FIRST_SAMPLES and vectors[0].any():
-            self._forces.append(float(np.linalg.norm(vectors[0])))
-            low, high = (share * self._gravity for share in LEVELLING)
-            if len(self._forces) == FIRST_SAMPLES and not any(
-                low < one < high for one in self._forces
-            ):
-                _warn(
-                    f"acc: all of the first {FIRST_SAMPLES} are below {low:.3g} or above "
-                    f"{high:.3g} in length (median {np.median(self._forces):.3g}); allowed: "
-                    f"specific force, {self._gravity:.3g} at rest "
-                    f"(m/s^2 are multiples of g times {GRAVITY:g})"
-                )
-
-
-def _warn(words: str) -> None:
-    warnings.warn(words, PosegsaWarning, stacklevel=4)
-
-
-class _Sensors:
-    """The vectors, or the landmarks, of a filter."""
-
-    def __init__(
-        self,
-        name: str,
-        references: np.ndarray,
-        factors: ArrayLike,
-        weights: tuple[Any, ...] | None,
-    ) -> None:
-        self.name, self.references = name, references
-        self._limit = limits.VECTOR if name == "vector" else limits.LANDMARK
-        count = len(references)
-        if weights is not None and len(weights) != count:
-            setting = "vectors.weights" if name == "vector" else "landmark_weights"
-            refuse(
-                f"settings.{setting}: {len(weights)} of them",
-                f"{count}, one for each of {name}_references, or None",
-            )
-        self.factors = self._checked_factors(factors)
-        self.weights = np.ones(count) if weights is None else np.asarray(weights, np.float64)
-        """(n,) the filter's weights, without the factors; a sensor of weight 0 has no effect."""
-        if name == "vector" and not references.any(axis=1).all():
-            raise MeasurementError("vector_references: must not be zero")
-
-    def seen(self, values: Any, factors: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
-        """The measurements (n, 3) and their factors (n,), both 0 for a missing one."""
-        factors = self.factors if factors is None else self._checked_factors(factors)
-        count = len(self.references)
-        if values is None:
-            return np.zeros((count, 3)), np.zeros(count)
-        if isinstance(values, list | tuple):
-            values = [np.full(3, np.nan) if row is None else row for row in values]
-            values = values or np.zeros((0, 3))
-        rows = finite_array(f"{self.name}s", values, (count, 3), finite=False)
-        there = ~np.isnan(rows).any(axis=1) & (factors > 0)
-        self._limit.checked(f"{self.name}s", rows[there])
-        if self.name == "vector":  # a vector of length 0 has no direction
-            there &= rows.any(axis=1)
-        rows = np.where(there[:, None], rows, 0.0)
-        return rows, np.where(there, factors, 0.0)
-
-    def _checked_factors(self, factors: ArrayLike) -> np.ndarray:
-        name, count = f"{self.name}_weights", len(self.references)
-        shape = () if np.ndim(factors) == 0 else (count,)
-        array = np.broadcast_to(finite_array(name, factors, shape), (count,))
-        return limits.WEIGHT.checked(name, array)
-
-
 def _tuned(result: Result, vectors: int, landmarks: int) -> Filter:
     """The filter of a result, for these numbers of vectors and landmarks."""
     observer = result.experiment.filter.kind == "observer"
@@ -669,23 +577,9 @@ def _is_inertial(source: Any) -> bool:
     return isinstance(source, AttitudeFilter)
 
 
-def _signal(name: str, value: ArrayLike | None) -> np.ndarray | None:
-    """A signal (3,) of an inertial sensor, checked by its own name; it may be missing."""
-    if value is None:
-        return None
-    signal = finite_array(name, value, (3,), finite=False)
-    return signal if np.isnan(signal).any() else limits.VECTOR.checked(name, signal)
-
-
 def _number(value: Any) -> float:
     """A number of a record; NaN if the filter has no such number."""
     return math.nan if value is None else float(value)
-
-
-def _references(name: str, references: ArrayLike | None) -> np.ndarray:
-    if references is None or np.size(references) == 0:
-        return np.zeros((0, 3))
-    return finite_array(name, references, (None, 3))
 
 
 def _duration(name: str, value: float) -> float:

@@ -15,7 +15,7 @@ from helpers.streams import START, N, at_once, fed, learning_filter, stream
 import posegsa
 from posegsa.errors import ArgumentError, MeasurementError, PosegsaWarning
 from posegsa.model.schedules import SwitchGain
-from posegsa.streaming import FIRST_SAMPLES
+from posegsa.stream_inputs import FIRST_SAMPLES
 
 pytestmark = pytest.mark.quick
 

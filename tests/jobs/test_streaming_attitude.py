@@ -9,7 +9,7 @@ from helpers.recordings import inertial_motion
 
 import posegsa
 from posegsa.errors import ArgumentError, MeasurementError, PosegsaWarning
-from posegsa.streaming import FIRST_SAMPLES
+from posegsa.stream_inputs import FIRST_SAMPLES
 
 pytestmark = pytest.mark.quick
 
