@@ -47,13 +47,13 @@ from posegsa.search.keys import keys, training_keys
 from posegsa.search.population import ScenarioBatch, costs_by_scenario, over_scenarios
 from posegsa.search.problem import TuningProblem
 from posegsa.search.run_search import first_search, run_search, tell_share
-from posegsa.search.schedule_spaces import knot_times, schedule_space
+from posegsa.search.schedule_spaces import schedule_space
 from posegsa.search.search_spaces import observer_space, search_space
 
 CONSTANT_GAINS = 201
 """Number of gains that `best_constant` tries, evenly spaced over the controller's gain range."""
 REPLAYED_KNOTS = 300
-"""Maximum number of knots of the replayed gains."""
+"""Maximum number of knots of the replayed gains, even in time, and again in its logarithm."""
 
 
 def best_constant(problem: TuningProblem) -> Candidate:
@@ -100,20 +100,21 @@ def searchable(experiment: config.Experiment) -> config.Experiment:
 def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
     """The tuned filter's gains over time, replayed without feedback.
 
-    They are the geometric mean over the training scenarios, for a Kalman filter the outputs of its
-    schedule of the unknown, at the knots of a clock. The tuned schedule's advantage over this
-    baseline is the benefit of feedback from the error. Belief stays as it is.
+    They are the geometric mean over the training scenarios; of a Kalman filter the outputs of its
+    schedule of the unknown. The tuned schedule's advantage over this baseline is the benefit of
+    feedback from the error. Belief stays as it is.
     """
     training: ScenarioBatch = problem.training
-    schedule, time = tuned.schedule, np.asarray(training.samples.time[0], np.float64)
-    if isinstance(schedule, NoiseGains):
-        kept, gain = knot_times(problem.experiment.scenario.duration), _noise_gains(tuned, training)
-    else:
-        kept = time[np.unique(np.linspace(0, len(time) - 1, REPLAYED_KNOTS).round().astype(int))]
-        gain = np.asarray(error_tracks(tuned, training).gain, np.float64)
+    schedule, noises = tuned.schedule, isinstance(tuned.schedule, NoiseGains)
+    gain = _noise_gains(tuned, training) if noises else error_tracks(tuned, training).gain
+    time = np.asarray(training.samples.time[0], np.float64)
+    even = np.linspace(0, len(time) - 1, REPLAYED_KNOTS)
+    dense = np.geomspace(1, len(time), REPLAYED_KNOTS) - 1  # close together in the transient
+    kept = np.unique(np.concatenate([even, dense]).round().astype(int))
     with np.errstate(divide="ignore", invalid="ignore"):
-        log_gain = np.interp(kept, time, np.mean(np.log(np.maximum(gain, 1e-3)), axis=0))
-    knots = KnotGain(*(jnp.asarray(a, training.dtype) for a in (kept, log_gain)))
+        each = np.asarray(gain, np.float64)[:, kept]
+        log_gain = np.mean(np.log(np.maximum(each, 1e-3)), axis=0)
+    knots = KnotGain(*(jnp.asarray(a, training.dtype) for a in (time[kept], log_gain)))
     if isinstance(schedule, NoiseGains):
         return Candidate(schedule._replace(unknown=knots), tuned.values, tuned.keys)
     if isinstance(schedule, ObserverGains):
@@ -133,7 +134,7 @@ def _noise_gains(tuned: Candidate, training: ScenarioBatch) -> np.ndarray:
         last = jnp.broadcast_to(schedule.initial_gain(), error.shape)
         return schedule.prepare()(ScheduleInputs(error, rate, time, last)).gain
 
-    return np.asarray(gain(error, rate, time), np.float64)
+    return np.asarray(gain(error, rate, time))
 
 
 def random_search(problem: TuningProblem) -> Candidate:
