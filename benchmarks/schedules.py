@@ -313,11 +313,12 @@ def main() -> None:
     family = config.override(config.load(options.family), options.settings)
     for seed in range(options.first, options.first + options.seeds):
         found: dict[str, tuple[Searched | None, np.ndarray]] = {}
-        one = family
+        one = of_controller = family
         for name, (contender, searched) in experiments(family, seed).items():
             if options.only and name not in (CONTROLLER, *options.only):
                 continue
             one = contender
+            of_controller = one if name == CONTROLLER else of_controller
             simpler = found.get(name.removesuffix(NOISES_TOO), (None,))[0]
             best = search(name, one, simpler) if searched else None
             candidate = as_configured(one) if best is None else best.candidate
@@ -328,7 +329,8 @@ def main() -> None:
         assert controller is not None
         schedules = controller.candidate.schedule
         if isinstance(schedules, NoiseGains) and schedules.unknown is not None:
-            clock = one.replace(**{"filter.unknown": "clock", "tuned": config.TunedConfig()})
+            changes = {"filter.unknown": "clock", "tuned": config.TunedConfig()}
+            clock = of_controller.replace(**changes)
             again = replayed(tuning_problem(clock), controller.candidate)
             found["the controller's outputs, replayed"] = None, held_out(clock, again, keys)
         if isinstance(family.filter, config.ObserverConfig):

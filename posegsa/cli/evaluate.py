@@ -1,6 +1,7 @@
 """`posegsa evaluate`."""
 
 import argparse
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from posegsa.cli.options import (
@@ -80,10 +81,14 @@ def run(options: argparse.Namespace) -> int:
     ):
         # Load again: another process may have replaced the run before the lock.
         judged = _judged(options, result_of(options))
-        try:  # what is printed can be cut short, by a closed pipe
+        try:
             write_result(judged, folder, options.figures, own_checkpoints=True)
-        finally:
-            print(_words(options, judged))
+        except OSError:
+            with suppress(OSError):  # the reason that it can't be written comes last
+                print(_words(options, judged), flush=True)
+            raise
+    # Only now, as a closed pipe ends the process.
+    print(_words(options, judged))
     print(f"\nWritten to {options.run}: {', '.join(written(judged, options.figures))}")
     return 0
 

@@ -53,7 +53,7 @@ from posegsa.search.search_spaces import observer_space, search_space
 CONSTANT_GAINS = 201
 """Number of gains that `best_constant` tries, evenly spaced over the controller's gain range."""
 REPLAYED_KNOTS = 300
-"""Maximum number of knots of the replayed gains, even in time, and again in its logarithm."""
+"""Of replayed gains: how many knots are even in time, and again even in its logarithm."""
 
 
 def best_constant(problem: TuningProblem) -> Candidate:
@@ -100,20 +100,22 @@ def searchable(experiment: config.Experiment) -> config.Experiment:
 def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
     """The tuned filter's gains over time, replayed without feedback.
 
-    They are the geometric mean over the training scenarios; of a Kalman filter the outputs of its
-    schedule of the unknown. The tuned schedule's advantage over this baseline is the benefit of
-    feedback from the error. Belief stays as it is.
+    They are means over the training scenarios: of an observer's gains the geometric mean, of the
+    outputs of a Kalman filter's schedule `unknown` the arithmetic mean, as these are logarithms of
+    a factor. Belief stays as it is. The tuned schedule's advantage over this baseline is the
+    benefit of feedback from the error.
     """
     training: ScenarioBatch = problem.training
-    schedule, noises = tuned.schedule, isinstance(tuned.schedule, NoiseGains)
-    gain = _noise_gains(tuned, training) if noises else error_tracks(tuned, training).gain
-    time = np.asarray(training.samples.time[0], np.float64)
+    schedule, time = tuned.schedule, np.asarray(training.samples.time[0], np.float64)
     even = np.linspace(0, len(time) - 1, REPLAYED_KNOTS)
     dense = np.geomspace(1, len(time), REPLAYED_KNOTS) - 1  # close together in the transient
     kept = np.unique(np.concatenate([even, dense]).round().astype(int))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        each = np.asarray(gain, np.float64)[:, kept]
-        log_gain = np.mean(np.log(np.maximum(each, 1e-3)), axis=0)
+    if isinstance(schedule, NoiseGains):
+        log_gain = np.log(_mean_output(tuned, training)[kept])
+    else:
+        gain = np.asarray(error_tracks(tuned, training).gain, np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log_gain = np.mean(np.log(np.maximum(gain[:, kept], 1e-3)), axis=0)
     knots = KnotGain(*(jnp.asarray(a, training.dtype) for a in (time[kept], log_gain)))
     if isinstance(schedule, NoiseGains):
         return Candidate(schedule._replace(unknown=knots), tuned.values, tuned.keys)
@@ -122,19 +124,24 @@ def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
     return Candidate(knots, tuned.values, tuned.keys)
 
 
-def _noise_gains(tuned: Candidate, training: ScenarioBatch) -> np.ndarray:
-    """(S, N) outputs of the schedule of the unknown on training scenarios, no unit."""
-    schedule, time = cast(Any, tuned.schedule).unknown, training.samples.time
-    each = [estimates_on(tuned, training, i) for i in range(len(time))]
-    error, rate = np.stack([(one.error, one.rate) for one in each], axis=1)
+def _mean_output(tuned: Candidate, training: ScenarioBatch) -> np.ndarray:
+    """(N,) outputs of the schedule `unknown`, mean over the scenarios that have started."""
+    schedule, time = cast(Any, tuned.schedule).unknown, np.asarray(training.samples.time)
 
     @jax.jit
-    def gain(error: Array, rate: Array, time: Array) -> Array:
-        # Where no rule fires, which only uncovered terms allow, this is the middle gain.
+    def output(error: Array, rate: Array, time: Array) -> Array:
+        # A controller with gaps between its terms holds its last output where no rule fires. Here
+        # it is the middle one, as samples are not run one after another.
         last = jnp.broadcast_to(schedule.initial_gain(), error.shape)
         return schedule.prepare()(ScheduleInputs(error, rate, time, last)).gain
 
-    return np.asarray(gain(error, rate, time))
+    total = count = np.zeros(time.shape[1])
+    begin = np.zeros(len(time)) if training.begin is None else np.asarray(training.begin)
+    for i in range(len(time)):
+        one, started = estimates_on(tuned, training, i), time[i] >= begin[i]
+        total = total + np.where(started, output(one.error, one.rate, time[i]), 0.0)
+        count = count + started
+    return np.where(count > 0, total / np.maximum(count, 1), 1.0)  # 1 changes no noise
 
 
 def random_search(problem: TuningProblem) -> Candidate:

@@ -22,7 +22,7 @@ from posegsa.model.schedules import SCHEDULES, FuzzyGain, GainSchedule, KnotGain
 from posegsa.search.candidates import Candidate, Schedule
 from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.parameters import RULES, TERM_COUNT, ParameterSpace
-from posegsa.search.schedule_spaces import KNOTS, knot_times
+from posegsa.search.schedule_spaces import knot_times
 from posegsa.search.search_spaces import parameter_space, role_controllers, rule_table
 from posegsa.settings.fields import Number
 from posegsa.words import text_table
@@ -192,9 +192,12 @@ def _of_roles(
         raise ValueError(f"its schedules are {', '.join(by_role)}; allowed: {allowed}")
     for role, kind in kinds.items():
         lengths = {name: len(values) for name, values in by_role[role].items()}
-        needed = dict(config.SCHEDULE_NUMBERS[kind])
-        if kind == "clock":  # a replayed schedule has more knots than one that was searched
-            needed = dict.fromkeys(("time", *needed), max(1, lengths.get("time", KNOTS)))
+        needed: dict[str, Any] = dict(config.SCHEDULE_NUMBERS[kind])
+        if kind == "clock":  # a replayed schedule has more knots than one that is searched
+            time = by_role[role].get("time", [])
+            needed = dict.fromkeys(("time", *needed), max(1, len(time)))
+            if not np.all(np.diff(time) > 0):
+                raise ValueError(f"the times of {role} do not ascend; allowed: ascending times")
         if lengths != needed:
             raise ValueError(f"the numbers of {role} are {lengths} by length; allowed: {needed}")
     there = role_controllers(experiment)

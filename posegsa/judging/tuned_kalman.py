@@ -21,7 +21,7 @@ from posegsa.search.schedule_spaces import KNOTS
 
 AGENTS = 20
 MIN_EVALUATIONS, MAX_EVALUATIONS = 0, 1000
-"""Evaluations of a search; one takes as long as many evaluations of the observer."""
+"""Fewest and most evaluations of a search; one takes as long as many of the observer."""
 CHECK_INTERVAL = 200
 """Evaluations between two checks of the improvement."""
 MIN_IMPROVEMENT = 0.01

@@ -5,6 +5,7 @@ import numpy as np
 from posegsa.judging.description import TITLES, Description
 from posegsa.judging.evaluation import (
     BEHAVIOUR,
+    EKF_CLOCK,
     OPEN_LOOP,
     REPLAYED,
     SWITCH,
@@ -94,10 +95,10 @@ def next_words(result: Result) -> list[str]:
         steps.append("Read the warnings above first: they say why these numbers may mislead.")
     better = [name for name in evaluation.better if name != beside]
     if better:
-        if any(name in (REPLAYED, OPEN_LOOP, SWITCH) for name in better):
+        if any(name in (REPLAYED, OPEN_LOOP, SWITCH, EKF_CLOCK) for name in better):
             steps.append(
-                "Gains that depend only on time are simpler and need no error signal. They suit a "
-                "filter that starts as in these scenarios, and do not react to later errors."
+                "A schedule that depends only on time is simpler. It suits a filter that starts as "
+                "in these scenarios, and does not react to later errors."
             )
         steps.append(
             "The parameters of the better filters are in `result.json`. The filter of this page "

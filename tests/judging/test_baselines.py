@@ -3,13 +3,14 @@
 import dataclasses
 import math
 import sys
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers.experiments import tiny
-from scipy.stats import gmean
 
 from posegsa import config
 from posegsa.filters.noise_schedules import NoiseGains
@@ -40,6 +41,7 @@ from posegsa.model.schedules import (
     ConstantGain,
     FuzzyGain,
     KnotGain,
+    RampGain,
     ScheduleInputs,
     SmoothGain,
     SwitchGain,
@@ -205,10 +207,30 @@ def test_a_replayed_kalman_filter_is_a_clock_of_its_schedules_mean_output(proble
     assert gain.max() > 30
     np.testing.assert_allclose(clock.numbers["unknown.time"], 0.01 * np.arange(200), atol=1e-6)
     replayed_gain = np.exp(clock.numbers["unknown.log_gain"])
-    np.testing.assert_allclose(replayed_gain, gmean(gain, axis=0), rtol=1e-4)
+    np.testing.assert_allclose(replayed_gain, np.mean(gain, axis=0), rtol=1e-4)
     found = candidate_of(clock, one.experiment).schedule
     assert isinstance(found, NoiseGains)
     assert isinstance(found.unknown, KnotGain)
+
+
+def test_scenarios_that_have_not_started_are_left_out_of_a_replay(monkeypatch) -> None:
+    problem = tuning_problem(config.override(tiny(), ["filter.kind=kalman", "filter.unknown=ramp"]))
+    begin = np.array([0.0, 1.0, 9.0])  # the last one never starts
+    training = problem.training._replace(begin=begin)
+    outputs = iter([10.0, 30.0, 50.0])
+
+    def estimates(candidate, batch, scenario) -> Any:
+        full = np.full(batch.samples.time.shape[1], np.float32(next(outputs) / 100))
+        return SimpleNamespace(error=full, rate=full)
+
+    monkeypatch.setattr(baselines, "estimates_on", estimates)
+    line = NoiseGains(unknown=RampGain(jnp.float32(0), jnp.float32(1)))
+    schedule = replayed(problem._replace(training=training), Candidate(line)).schedule
+    assert isinstance(schedule, NoiseGains)
+    assert isinstance(schedule.unknown, KnotGain)
+    gain, late = np.exp(schedule.unknown.log_gain), schedule.unknown.time >= 1
+    np.testing.assert_allclose(gain[~late], 11, rtol=1e-5)
+    np.testing.assert_allclose(gain[late], 21, rtol=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["off", "clock"])

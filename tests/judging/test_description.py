@@ -235,6 +235,23 @@ def test_numbers_of_another_kind_are_refused(kind: str, numbers: dict[str, list[
         from_plain(StoredFilter, data, FILE)  # type: ignore[arg-type]  # an annotated type
 
 
+@pytest.mark.parametrize(
+    ("time", "log_gain", "allowed"),
+    [
+        ([0.0, 1.0], [1.0], "'log_gain': 2"),
+        ([], [1.0], "'time': 1"),
+        ([0.0, 2.0, 1.0], [1.0] * 3, "ascending times"),
+    ],
+)
+def test_a_clock_has_as_many_numbers_as_ascending_times(time, log_gain, allowed) -> None:
+    clock = config.override(tiny(), ["filter.kind=kalman", "filter.unknown=clock"])
+    numbers = {"unknown.time": time, "unknown.log_gain": log_gain}
+    with pytest.raises(ValueError, match=rf"of unknown .*allowed: .*{allowed}"):
+        candidate_of(Description("kalman", numbers, {}, 0), clock)
+    found = {"unknown.time": [0.0, 1.0, 2.0], "unknown.log_gain": [1.0, 2.0, 3.0]}
+    candidate_of(Description("kalman", found, {}, 0), clock)
+
+
 @pytest.mark.parametrize("rules", [[], [5.0] * 25, [1.5] * 25, [1.0] * 24])
 def test_a_rule_table_that_is_none_is_refused(rules: list[float]) -> None:
     found = Description("fuzzy", {"k": [0.5] * 22, "rules": rules}, {}, 0)

@@ -13,7 +13,7 @@ LAYERS = (
     "errors arguments words defaults version compiled_programs runtime steps progress settings"
     " | optimisers model | filters | exchange config | recordings | search | judging | figures"
     " | report export | saving"
-    " | configuring | tuning evaluating replaying comparing sweeping streaming"
+    " | configuring stream_inputs | tuning evaluating replaying comparing sweeping streaming"
     " | __init__ | cli | __main__"
 )
 """Folders and modules of the package. Those between two bars do not import each other, but may
