@@ -57,12 +57,12 @@ def evaluate(
     """Judge a tuned filter and all baselines, on held-out scenarios or on recordings.
 
     On scenarios the baselines are other gain schedules of the observer, Kalman filters, and
-    variants of the tuned filter itself: its gains replayed, a random search for it, its numbers
-    before the tuning (`judging.baselines`). They are searched on the run's training scenarios, with
-    the run's optimiser and number of evaluations; the Kalman filters (fixed, iterated, gated, by
-    the clock) until 200 evaluations improve the cost by less than 1 % (`judging.tuned_kalman`).
-    What is already in the result is not searched again. The held-out scenarios use random keys that
-    no search has used.
+    variants of the tuned filter itself: its gains, or the outputs of its schedule `unknown`,
+    replayed by time; a random search for it; its numbers before the tuning (`judging.baselines`).
+    They are searched on the run's training scenarios, with the run's optimiser and number of
+    evaluations; the Kalman filters (fixed, iterated, gated, by the clock) until 200 evaluations
+    improve the cost by less than 1 % (`judging.tuned_kalman`). What is already in the result is not
+    searched again. The held-out scenarios use random keys that no search has used.
 
     On recordings the baselines are the best constant gains and the invariant Kalman filter. Both
     are tuned on the data that the result was tuned on: on `training`, or on its simulated
