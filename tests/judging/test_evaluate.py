@@ -21,6 +21,7 @@ from scipy import stats
 import posegsa
 from posegsa import evaluating
 from posegsa.cli.command import main
+from posegsa.errors import RunFolderError
 from posegsa.evaluating import evaluate
 from posegsa.judging import tuned_kalman
 from posegsa.judging.baselines import Baseline, baselines
@@ -41,6 +42,7 @@ from posegsa.judging.evaluation import (
     interval,
 )
 from posegsa.judging.tuned_kalman import VARIANTS
+from posegsa.saving import result_files
 from posegsa.saving.records import from_json, to_json
 from posegsa.saving.result_files import RESULT, SCHEMA
 from posegsa.search.keys import held_out_keys, training_keys
@@ -162,6 +164,21 @@ def test_a_judgement_is_kept_if_nobody_reads_what_is_printed(evaluated, tmp_path
         assert main(["evaluate", str(folder), "--figures", "costs"]) == 1
         monkeypatch.undo()
     assert tuple(posegsa.load(folder).on_scenarios.evaluation.contenders) == BESIDE
+
+
+def test_a_judgement_that_can_not_be_written_is_printed(evaluated, tmp_path, monkeypatch, capsys):
+    result, folder = evaluated[1], tmp_path / "run"
+    posegsa.save(result, folder, figures=())
+
+    def full(*_: Any, **__: Any) -> None:
+        raise RunFolderError(f"{folder}: no space left")
+
+    monkeypatch.setattr(evaluating, "evaluate", lambda *_, **__: result)
+    monkeypatch.setattr(result_files, "write_result", full)
+    assert main(["evaluate", str(folder), "--figures", "costs"]) == 2
+    out, err = capsys.readouterr()
+    assert result.on_scenarios.evaluation.table() in out
+    assert err.endswith(f"posegsa: {folder}: no space left\n")
 
 
 def test_a_filter_that_was_not_searched_is_not_called_tuned(monkeypatch, tmp_path):
