@@ -54,7 +54,7 @@ JOBS = (
     Job(
         "the same, and little time or memory",
         *("observer", "observer", "given", "`observer`, 2 vectors, 1 landmark"),
-        "27 % less, 1 % more",
+        "27 to 28 % less, 0 to 2 % more",
     ),
     Job(
         "sensors that are disturbed: bursts, noise that changes, outages",

@@ -67,7 +67,7 @@ SEEDED = ("observer", "paper", "paper_literal")
 SEEDED_TABLE = "seeded"
 """Name of the last table in what is stored, and for --only."""
 PARTS = (*JUDGED, *ENDURANCE_ONLY, SEEDED_TABLE)
-EVALUATIONS = ["search.agents=32", "search.iterations=60"]
+AGENTS, ITERATIONS = 32, 60
 """The judged observer is searched with fewer evaluations than by default, 1920 instead of 8640,
 which costs it up to 1 % in training, so that a Kalman filter can have as many. Of its other
 schedules the constant gain is found with it; the others have those of the default, as a time switch
@@ -75,7 +75,7 @@ is far from converged after 1920."""
 KALMAN_SEARCHES = {
     "CHECK_INTERVAL": 500,
     "MIN_IMPROVEMENT": 0.005,
-    "MIN_EVALUATIONS": 1920,
+    "MIN_EVALUATIONS": AGENTS * ITERATIONS,
     "MAX_EVALUATIONS": 8500,
 }
 """The Kalman baselines are searched for longer than `posegsa evaluate` does: for no less than the
@@ -159,7 +159,8 @@ def step_in_c(experiment: config.Experiment, found: Description) -> str:
 def judged(case: Case, scenarios: int, seed: int) -> dict[str, Any]:
     """The stored results of one kind of scenario and one seed."""
     experiment = experiment_of(case, seed)
-    result = replace(posegsa.tune(config.override(experiment, EVALUATIONS)), experiment=experiment)
+    size = {"search.agents": AGENTS, "search.iterations": ITERATIONS}
+    result = replace(posegsa.tune(experiment.replace(**size)), experiment=experiment)
     with Display():
         result = evaluate(result, scenarios=scenarios, seed=HELD_OUT_SEED)
     on = on_scenarios(result)

@@ -120,13 +120,19 @@ def test_what_was_found_is_not_searched_again(evaluated):
         np.testing.assert_array_equal(contender.metrics.cost, before.metrics.cost)
 
 
+def without_the_replay(result: posegsa.Result) -> posegsa.Result:
+    """A result that lacks one baseline."""
+    judged = result.on_scenarios
+    assert judged is not None
+    known = {n: c for n, c in judged.evaluation.contenders.items() if n != REPLAYED}
+    before = replace(judged, evaluation=replace(judged.evaluation, contenders=known))
+    return replace(result, on_scenarios=before)
+
+
 def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
     """One baseline is missing and must be searched."""
     result, folder = evaluated[1], tmp_path / "run"
-    known = {n: c for n, c in result.on_scenarios.evaluation.contenders.items() if n != REPLAYED}
-    judged = result.on_scenarios
-    before = replace(judged, evaluation=replace(judged.evaluation, contenders=known))
-    posegsa.save(replace(result, on_scenarios=before), folder, figures=())
+    posegsa.save(without_the_replay(result), folder, figures=())
     tables = {name: folder / f"{name}.csv" for name in ("history", "trajectory")}
     before_csv = {name: path.read_bytes() for name, path in tables.items()}
     arguments = ["--scenarios", "3", "--seed", "2", "--figures", "costs,bands,vector_biases"]
@@ -152,10 +158,7 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
 
 def test_a_judgement_is_kept_if_nobody_reads_what_is_printed(evaluated, tmp_path, monkeypatch):
     result, folder = evaluated[1], tmp_path / "run"
-    known = {n: c for n, c in result.on_scenarios.evaluation.contenders.items() if n != REPLAYED}
-    judged = result.on_scenarios
-    before = replace(judged, evaluation=replace(judged.evaluation, contenders=known))
-    posegsa.save(replace(result, on_scenarios=before), folder, figures=())
+    posegsa.save(without_the_replay(result), folder, figures=())
     monkeypatch.setattr(evaluating, "evaluate", lambda *_, **__: result)
     read, write = os.pipe()
     os.close(read)
