@@ -32,7 +32,7 @@ FILTERS: dict[str, tuple[str, list[tuple[str, str]]]] = {
     "any start": ("observer", [KALMAN, RECOMMENDED, ("observer", "given")]),
     "as in the field": ("field", [KALMAN, RECOMMENDED, ("field", "given")]),
     "disturbed sensors": ("disturbed", [KALMAN, ("disturbed", "sensors")]),
-    "sparse sensors": ("sparse", [KALMAN, ("sparse", "given")]),
+    "sparse sensors": ("sparse", [KALMAN, ("sparse", "sensors"), ("sparse", "given")]),
 }
 """By kind of scenario: its configuration, and the filters with their starts."""
 SENSOR_NOISES = "angular_velocity", "velocity", "vector", "landmark"
@@ -79,7 +79,7 @@ def on_flights(data: Path) -> str:
 
 def main() -> None:
     """Judge all filters."""
-    parser = parser_of("Filters that believe the wrong noises.", 49, "docs/which_filter.md")
+    parser = parser_of("Filters that believe the wrong noises.", 54, "docs/which_filter.md")
     parser.add_argument("--flights", metavar="DATA_FOLDER", type=Path)
     options = parser.parse_args()
     posegsa.enable_fast_path()

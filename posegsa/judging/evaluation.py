@@ -189,6 +189,13 @@ CONSISTENCY_WORDS = (
     "from their prediction, over the second window. Above the right value the filter is too sure."
 )
 """Explains them below the table."""
+KALMAN_SEARCHES = (EKF, EKF_VECTORS, EKF_ITERATED, EKF_GATED, EKF_CLOCK)
+"""Kalman filters that `posegsa evaluate` searches (`judging.tuned_kalman`)."""
+KALMAN_SEARCH_WORDS = (
+    "The Kalman filters beside it were searched briefly, from the noises as configured on; longer "
+    "searches may find lower costs."
+)
+"""Says below the table how they were found."""
 
 
 @np.errstate(over="ignore")  # a filter may diverge to any number
@@ -279,6 +286,11 @@ class Evaluation:
         return _rows(CONSISTENCY, metrics, write) if metrics else []
 
     @property
+    def kalman_searched(self) -> bool:
+        """Whether one of KALMAN_SEARCHES is beside the judged filter."""
+        return not self.contenders.keys().isdisjoint(KALMAN_SEARCHES)
+
+    @property
     def better(self) -> dict[str, Interval]:
         """How much less filters beside the judged one cost, the lowest first, paired.
 
@@ -335,6 +347,8 @@ class Evaluation:
         which = "the run's own held-out set" if self.seed is None else f"held-out set {self.seed}"
         title = f"Cost on {counted(self.scenarios, 'scenario')} of {which}:"
         parts = [title, *map(text_table, self.tables()), POSITION_WORDS]
+        if self.kalman_searched:
+            parts.append(KALMAN_SEARCH_WORDS)
         if rows := self.consistency():
             parts += [text_table(rows), CONSISTENCY_WORDS]
         waits = {name: each.metrics.waited for name, each in self.contenders.items()}

@@ -21,7 +21,7 @@ from posegsa.figures import (
 )
 from posegsa.figures import search as search_figures
 from posegsa.judging import metrics
-from posegsa.judging.evaluation import CONSISTENCY_WORDS, SWITCH, called
+from posegsa.judging.evaluation import CONSISTENCY_WORDS, KALMAN_SEARCH_WORDS, SWITCH, called
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.result import Result
 from posegsa.judging.trust import SENSITIVE
@@ -80,6 +80,7 @@ def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
         "judged": judged,
         "evaluation": judged.evaluation,
         "CONSISTENCY_WORDS": CONSISTENCY_WORDS,
+        "KALMAN_SEARCH_WORDS": KALMAN_SEARCH_WORDS,
         "beside": judged.beside,
         "cost_words": cost_words(result),
         "worse_words": worse_words(judged),

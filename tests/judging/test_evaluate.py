@@ -33,6 +33,7 @@ from posegsa.judging.evaluation import (
     EKF,
     EKF_GATED,
     EKF_ITERATED,
+    KALMAN_SEARCH_WORDS,
     NOT_TUNED,
     REPLAYED,
     SMOOTH,
@@ -149,7 +150,9 @@ def test_the_command_judges_a_finished_run(evaluated, tmp_path, capsys):
     again = posegsa.load(folder).on_scenarios
     assert again is not None
     assert again.evaluation.scenarios == 3
-    assert "invariant EKF" in (folder / "report.html").read_text()
+    report = (folder / "report.html").read_text()
+    assert "invariant EKF" in report
+    assert KALMAN_SEARCH_WORDS in report
     assert {name: path.read_bytes() for name, path in tables.items()} == before_csv
     drawn = {path.stem for path in (folder / "figures").iterdir()}
     assert drawn == {"costs", "bands"}, "no biases of vectors are estimated"
@@ -297,6 +300,11 @@ def test_the_table_holds_every_contender(evaluated):
     for name in BESIDE:
         assert heads.count(name) == (3 if name in KALMAN_FILTERS else 2)
     assert_states(text.splitlines()[0], "Cost", "3 scenarios")
+
+
+def test_short_searches_of_kalman_filters_are_said_to_be_short():
+    assert KALMAN_SEARCH_WORDS in made_up((TUNED, EKF_GATED)).table()
+    assert KALMAN_SEARCH_WORDS not in made_up((TUNED, UNTUNED)).table(), "it was not searched"
 
 
 def test_the_verdict_names_cheaper_filters_the_lowest_cost_first():
