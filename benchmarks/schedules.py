@@ -59,6 +59,7 @@ CHECK_INTERVAL, MIN_IMPROVEMENT, MAX_FACTOR = 500, 0.005, 4
 CONTROLLER = "the paper's controller"
 TWO, NOISES_TOO = ", reset in two frames", ", noises too"
 TIED, BOTH = f"{CONTROLLER}, one for all sensors", f"{CONTROLLER}, both roles"
+CLOCK = "clock, 16 knots"
 GATE, HUBER, POWER, SAGE_HUSA = "gate", "Huber", "plain residual law", "Sage and Husa"
 RULES: dict[str, tuple[list[tuple[float, float]], Callable[[Array], RampGain]]] = {
     GATE: ([(0.0, 0.4)], lambda x: RampGain(x[0], jnp.full_like(x[0], 1000.0))),
@@ -101,7 +102,8 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
                 {"belief": "ramp", "belief_input": "variance"},
                 [*NOISES, *BELIEF_ALSO],
             ),
-            "clock, 16 knots": ({"belief": "clock"}, []),
+            CLOCK: ({"belief": "clock"}, []),
+            f"{CLOCK}{NOISES_TOO}": ({"belief": "clock"}, NOISES),
             "fixed noises, tuned, 3 iterations an update": (
                 {"belief": "off", "iterations": 3},
                 NOISES,
@@ -116,7 +118,7 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
         "the sensors' noises, not tuned": (off | FAMILY_START, None),
         "fixed noises, tuned": (off, NOISES),
         "fixed noises, tuned, 3 iterations an update": (off | {"iterations": 3}, NOISES),
-        "clock, 16 knots": ({"unknown": "clock"}, also),
+        CLOCK: ({"unknown": "clock"}, also),
         "straight line": ({"unknown": "ramp"}, also),
         "smooth K(e)": ({"unknown": "smooth"}, also),
         f"fixed noises, tuned{TWO}": (off | {"reset": "two frames"}, NOISES),
