@@ -34,7 +34,7 @@ TOGETHER = 1000
 def nees_of(
     shipped: config.Experiment, family: config.Experiment, scenarios: int, held_out_set: int
 ) -> np.ndarray:
-    """(scenarios, 4) the NEES of a configuration's filter at TIMES."""
+    """(scenarios, len(TIMES)) the NEES of a configuration's filter."""
     one = with_scenarios(shipped, family, "sensors")
     candidate = candidate_of(configured_filter(shipped), shipped)
     keys = held_out_keys(0, scenarios, held_out_set)
@@ -50,9 +50,7 @@ def nees_of(
 
 def main() -> None:
     """Judge all filters."""
-    parser = parser_of("The NEES of Kalman filters.", 52, "docs/kalman.md")
-    parser.set_defaults(scenarios=6000)
-    options = parser.parse_args()
+    options = parser_of("The NEES of Kalman filters.", 52, "docs/kalman.md", 6000).parse_args()
     posegsa.enable_fast_path()
     family = with_family("observer", DRAWN)
     times = " | ".join(f"at {t:g} s" for t in TIMES)

@@ -67,10 +67,10 @@ def words(costs: np.ndarray) -> str:
     return f"{np.mean(costs):.1f} ({np.quantile(costs, 0.99):.0f})"
 
 
-def parser_of(about: str, which: int, pages: str) -> argparse.ArgumentParser:
+def parser_of(about: str, which: int, pages: str, scenarios: int = 1000) -> argparse.ArgumentParser:
     """Options of a command that judges filters on held-out scenarios, by default set `which`."""
     parser = argparse.ArgumentParser(description=about)
-    parser.add_argument("--scenarios", type=int, default=1000)
+    parser.add_argument("--scenarios", type=int, default=scenarios)
     parser.add_argument("--set", type=int, default=which, help="which held-out scenarios")
     parser.add_argument("--write", action="store_true", help=f"into {pages}")
     return parser

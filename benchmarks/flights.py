@@ -1,8 +1,8 @@
 """Which filter to take for a recording: eight flights, two of each kind, tuned on the other one.
 
 Each filter starts from the sensors. A tuned one was tuned on the other flight of the kind, the
-others were not tuned; RMSEs count after 5 s. Then EuRoC V1_02 with a velocity and
-landmarks made from its truth, tuned on its first 40 s and judged on the rest.
+others were not tuned; RMSEs leave out the first 5 s. Then EuRoC V1_02 with a velocity and landmarks
+made from its truth, tuned on its first 40 s and judged on the rest.
 
 DATA_FOLDER has the folders `flights`, with car_1.csv and so on, and `euroc`.
 
@@ -29,6 +29,12 @@ SPLIT = 40.0
 SETTLED = 5.0
 """Time after which errors count [s]."""
 Made = Callable[[Recording, Recording], Result]
+
+
+def once_settled(recording: Recording) -> Recording:
+    """The recording, its first SETTLED seconds not judged."""
+    settled = recording.time >= recording.time[0] + SETTLED
+    return replace(recording, judged=recording.judged & settled)
 
 
 def as_it_is(name: str | Path) -> Made:
@@ -60,8 +66,7 @@ def row(
     name: str, other: Recording, judged: Recording, columns: Iterable[str], held: Cells
 ) -> list[str]:
     """Errors of filters on one recording, each in its column; the rest as held, or "-"."""
-    settled = judged.time >= judged.time[0] + SETTLED
-    judged, cells = replace(judged, judged=judged.judged & settled), [name]
+    judged, cells = once_settled(judged), [name]
     for column, made in FILTERS.items():
         if column not in columns:
             cells.append(held.get((name, column), "-"))

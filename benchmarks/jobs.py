@@ -38,7 +38,7 @@ class Job(NamedTuple):
     controller: str
     """The cost with the paper's controller against fixed gains or noises, and against the best
     simpler schedule, a straight line or a smooth gain. By hand, from the searches of `schedules.py`
-    and `results.py`."""
+    and `results.py`; for `kalman` the cost of `recommended` beside it, from `families.py`."""
 
 
 JOBS = (

@@ -189,13 +189,11 @@ CONSISTENCY_WORDS = (
     "from their prediction, over the second window. Above the right value the filter is too sure."
 )
 """Explains them below the table."""
-KALMAN_SEARCHES = (EKF, EKF_VECTORS, EKF_ITERATED, EKF_GATED, EKF_CLOCK)
-"""Kalman filters that `posegsa evaluate` searches (`judging.tuned_kalman`)."""
 KALMAN_SEARCH_WORDS = (
-    "The Kalman filters beside it were searched briefly, from the noises as configured on; longer "
-    "searches may find lower costs."
+    f"Filters whose name begins with {EKF!r} were searched briefly, from the noises of a data "
+    "sheet; a longer search may find lower costs."
 )
-"""Says below the table how they were found."""
+"""Says below the table how the searched Kalman filters were found (`judging.tuned_kalman`)."""
 
 
 @np.errstate(over="ignore")  # a filter may diverge to any number
@@ -287,8 +285,8 @@ class Evaluation:
 
     @property
     def kalman_searched(self) -> bool:
-        """Whether one of KALMAN_SEARCHES is beside the judged filter."""
-        return not self.contenders.keys().isdisjoint(KALMAN_SEARCHES)
+        """Whether there is a Kalman filter that `posegsa evaluate` searched."""
+        return any(name.startswith(EKF) for name in self.contenders)
 
     @property
     def better(self) -> dict[str, Interval]:
