@@ -190,8 +190,8 @@ CONSISTENCY_WORDS = (
 )
 """Explains them below the table."""
 KALMAN_SEARCH_WORDS = (
-    f"Filters whose name begins with {EKF!r} were searched briefly, from the noises of a data "
-    "sheet; a longer search may find lower costs."
+    f"The filters called {EKF} were searched briefly, from the noises of a data sheet; a longer "
+    "search may find lower costs."
 )
 """Says below the table how the searched Kalman filters were found (`judging.tuned_kalman`)."""
 
