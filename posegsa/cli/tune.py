@@ -159,8 +159,13 @@ def _tell_noises(experiment: "config.Experiment") -> None:
         print("Without CONFIG: imu, the attitude filter, as there is no body velocity.")
         return
     noises = experiment.filter.model_dump(exclude_defaults=True, exclude={"kind"})
-    found = ", ".join(f"{key} {value:.3g}" for key, value in noises.items() if value != "estimated")
-    print(f"Without CONFIG: a Kalman filter with the noises found in the recordings: {found}.")
+    found = []
+    for key, value in noises.items():
+        if value != "estimated":
+            numbers = value if isinstance(value, tuple) else (value,)  # scales are one by one
+            found.append(f"{key} {' '.join(f'{x:.3g}' for x in numbers)}")
+    listed = ", ".join(found)
+    print(f"Without CONFIG: a Kalman filter with the noises found in the recordings: {listed}.")
 
 
 def _how_to_compare(options: argparse.Namespace, folder: str, kind: str) -> str:

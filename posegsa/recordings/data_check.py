@@ -136,6 +136,8 @@ rounding."""
 MIN_BIAS_INFORMATION = 0.1
 """Least of the information on a field's bias by axis, 1 being that of a field that is known, from
 which on it is estimated."""
+MAX_LENGTH_RATIO = 10.0
+"""Ratio of the vectors' lengths up to which one bias and one walk may serve all."""
 FAR_OFF, LENGTH_OFF = 0.8, 1.6
 """A misfit above which something is mistaken, whatever it is; sensors have up to 0.5. That of a
 length is a logarithm, and one that strong motion makes larger, if nothing tells it."""
@@ -273,6 +275,7 @@ def check(recording: Recording) -> DataCheck:
     found += [] if found else _far_off(fits)
     found += [] if found else late_sensors(q)  # what is mistaken otherwise looks late too
     found += [] if found else _jumps(recording)
+    found += [] if recording.attitude_only else _lengths(q)
     sensors = _sensors(recording)
     found += [
         f"{one.name} has no measurement" for one in sensors if not _there(recording, one.name).any()
@@ -334,6 +337,19 @@ def _jumps(recording: Recording) -> list[str]:
         return []
     k = far[0]
     return [f"the true position jumps by {steps[k]:.3g} m in a step, at {time[at[k + 1]]:.4g} s"]
+
+
+def _lengths(q: Quantities) -> list[str]:
+    """What to do with vectors in units so different that no common bias fits them, in words."""
+    known = [vector.reference for vector in q.vectors if vector.reference is not None]
+    lengths = [float(np.median(np.linalg.norm(np.atleast_2d(each), axis=1))) for each in known]
+    if len(lengths) < 2 or max(lengths) <= MAX_LENGTH_RATIO * min(lengths):
+        return []
+    return [
+        f"the references of the vectors are {min(lengths):.3g} to {max(lengths):.3g} long, but a "
+        "filter has one bias and one walk for all vectors: divide each vector and its reference by "
+        "the length of the reference"
+    ]
 
 
 def _sensors(recording: Recording) -> list[SensorCheck]:

@@ -27,7 +27,7 @@ from helpers.recordings import motion
 import posegsa
 from posegsa import config
 from posegsa.cli.command import main, parser
-from posegsa.cli.tune import _how_to_compare
+from posegsa.cli.tune import _how_to_compare, _tell_noises
 from posegsa.export import FORMATS
 from posegsa.figures import style as figure_style
 from posegsa.optimisers import OPTIMISERS
@@ -250,6 +250,12 @@ def test_a_changed_result_is_read_only_on_demand(finished, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)
     assert main(["export", str(tmp_path), "--format", "json", "--set", "filter.gamma=1"]) == 2
     assert "--set; allowed: with a configuration" in capsys.readouterr().err
+
+
+def test_noises_of_single_sensors_are_printed_one_by_one(capsys: pytest.CaptureFixture[str]):
+    scales = {"filter.vector": 0.04, "filter.vector_scales": (0.556, 1.44)}
+    _tell_noises(config.load("kalman").replace(**scales))
+    assert "vector 0.04, vector_scales 0.556 1.44" in capsys.readouterr().out
 
 
 def test_a_configuration_means_its_own_filter(monkeypatch, capsys):

@@ -267,6 +267,20 @@ def test_some_are_named_without_a_truth(name: str) -> None:
     assert re.search(words, found[0])
 
 
+def test_vectors_of_very_different_units_are_named() -> None:
+    """Otherwise a bias that is small for gravity would be larger than the whole field."""
+    given = flown(count=BRIEF)
+    for units, named in (([9.81, 1.0], False), ([9.81, 5e-5], True)):
+        size = np.array(units)[:, None]
+        changes = {key: given[key] * size for key in ("vectors", "vector_references")}
+        findings = check(Recording.from_arrays(**given | changes)).findings
+        assert len(findings) == named
+        if named:
+            assert_states(
+                findings[0], "5.01e-05 to 9.81 long", "divide each vector and its reference"
+            )
+
+
 def test_two_mistakes_are_named_one_after_the_other() -> None:
     first, second = "axis of the gyroscope", "landmarks exchanged"
     planted = MISTAKES[second][0](MISTAKES[first][0](flown()))
