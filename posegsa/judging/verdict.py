@@ -4,7 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-TAKE_IT = "take it, `posegsa export RUN --format c{options}` or `posegsa replay RUN FILE{options}`"
+TAKE_THIS = (
+    "take this filter, `posegsa export RUN --format c{options}` or "
+    "`posegsa replay RUN FILE{options}`"
+)
 """What to do if no other filter is better."""
 
 
@@ -66,7 +69,7 @@ def verdict(
         return (
             f"{'As good as any' if even else 'Best'} on {where}: this filter, {own}; the next, "
             f"{name}{beside}, errs {_listed(losses)}{_intervals(losses)}: "
-            f"{TAKE_IT.format(options=options)}."
+            f"{TAKE_THIS.format(options=options)}."
         )
     (first, losses), *rest = better.items()
     then = "".join(f"; then {name}, {_listed(each)}" for name, each in rest)

@@ -61,7 +61,7 @@ def test_where_none_is_better_it_says_so() -> None:
     words = verdict((0.2, None), Madgwick=(0.5, None), VQF=(0.199, None))
     assert words.startswith(
         "As good as any on what was held out: this filter, 0.2 deg; the next, VQF, beside "
-        "Madgwick, errs 0.001 deg less (too few data for an interval): take it"
+        "Madgwick, errs 0.001 deg less (too few data for an interval): take this filter"
     )
     assert "`posegsa export" in words
     words = verdict((0.2, None), Madgwick=(0.5, None))
