@@ -69,7 +69,7 @@ SEEDED_TABLE = "seeded"
 PARTS = (*JUDGED, *ENDURANCE_ONLY, SEEDED_TABLE)
 AGENTS, ITERATIONS = 32, 60
 """The judged observer is searched with fewer evaluations than by default, 1920 instead of 8640,
-which costs it up to 1 % in training, so that a Kalman filter can have as many. Of its other
+which costs it up to 3 % in training, so that a Kalman filter can have as many. Of its other
 schedules the constant gain is found with it; the others have those of the default, as a time switch
 is far from converged after 1920."""
 KALMAN_SEARCHES = {
