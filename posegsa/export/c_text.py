@@ -87,8 +87,8 @@ def origin(result: Result) -> list[str]:
     run, search = result.tuned.run, result.tuned.search
     if result.search is None:
         return wrapped(
-            f"Written by posegsa {VERSION}. A {result.filter.title} that was not searched, made "
-            f"with posegsa {result.version}."
+            f"Written by posegsa {VERSION}. A {result.filter.title} with the numbers of its "
+            f"configuration, made with posegsa {result.version}."
         )
     return wrapped(
         f"Written by posegsa {VERSION}. Tuned with posegsa {result.version} in {run.dtype}: "
@@ -117,7 +117,10 @@ def worth(result: Result) -> list[str]:
         lines += ["Root mean square errors on recordings:", *on.table().splitlines(), ""]
         if not on.held_out:
             lines += wrapped("WARNING: no recording was held out.")
-    lines = lines or ["Unknown: it was not judged."]
+    lines = lines or wrapped(
+        "It was not judged for this file. What the configurations that posegsa brings are worth is "
+        "in its documentation, docs/which_filter.md and docs/imu.md."
+    )
     lines += _warnings(result)
     origins = [] if on is None else on.origins().splitlines()
     return lines + [part for line in origins for part in wrapped(line)]

@@ -10,9 +10,9 @@
  *     #include <stdio.h>
  *     static posegsa_measurement now; // all zeros: nothing is measured
  *     int main(void) {
- *         const posegsa_real turned[4] = {2, 1, 0, 0}{{ "" if attitude_only else ", origin[3] = {0, 0, 0}" }};
+ *         const posegsa_real turned[4] = {20, 1, 0, 0}{{ "" if attitude_only else ", origin[3] = {0, 0, 0}" }};
  *         posegsa_state filter;
- *         if (posegsa_init(&filter, turned{{ "" if attitude_only else ", origin" }}) != POSEGSA_OK) return 1; // 53 deg off
+ *         if (posegsa_init(&filter, turned{{ "" if attitude_only else ", origin" }}) != POSEGSA_OK) return 1; // 6 deg off
  *         for (int k = 0; k < 1000; ++k) { // 10 s at 100 Hz, the body at rest and upright
 {% if vectors %}
  *             for (int i = 0; i < 3 * POSEGSA_VECTORS; ++i)
