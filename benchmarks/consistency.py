@@ -4,7 +4,7 @@ Each starts from its sensors, on scenarios from any start with drawn biases and 
 filters assume. Prints the mean NEES over scenarios, 6 for a covariance that is right, and the share
 of scenarios in which it is up to the 95 % quantile of chi-squared with 6 degrees of freedom.
 
-    python benchmarks/consistency.py --write   # docs/kalman.md; a quarter of an hour on one core
+    python benchmarks/consistency.py --write   # docs/kalman.md; ten minutes on one core
 """
 
 import numpy as np
