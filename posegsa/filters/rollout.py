@@ -41,7 +41,7 @@ from posegsa.model.cost import (
     sample_error,
 )
 from posegsa.model.estimate import FilterState
-from posegsa.model.loops import batched_alike, scan_rows, scan_together
+from posegsa.model.loops import batched_alike, scan_lanes, scan_rows, scan_together
 from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import Vec3, clip_distance, dot, norm, rotate, rows, subtract
 from posegsa.model.signal import known_pose, pose_errors
@@ -177,7 +177,8 @@ def run(
     Args:
         look: called at each sample.
         filter: any filter.
-        samples: N samples.
+        samples: N samples; or for an elementwise filter S times N of them, each for A simulations
+            of state and sum, whose leaves then are (S A,).
         state: state of the filter before the first sample.
         count: number of samples to use; later ones change nothing. By default all are used.
         together: whether samples and state belong to S simulations; then all leaves have one more
@@ -190,10 +191,11 @@ def run(
         The state after the last sample, the sum, and the values that `look` stored, stacked over
         time.
     """
-    ready, shape = filter.ready(), ()
+    ready = filter.ready()
+    shape: tuple[int, ...] = ()
     if elementwise(filter):
         shapes = map(jnp.shape, jax.tree.leaves(state))
-        shape = jnp.broadcast_shapes(samples.time.shape[:-1], *shapes)
+        shape = jnp.broadcast_shapes(samples.time.shape[:-1] if together else (), *shapes)
         state = of_shape(state, shape)
 
     def body(carry: Any, inputs: Any) -> tuple[Any, Any]:
@@ -208,6 +210,8 @@ def run(
     if together:
         step = body if elementwise(filter) else jax.vmap(body)
         (last, total), stored = scan_together(step, carry, (samples, extra), count)
+    elif samples.time.ndim > 1:
+        (last, total), stored = scan_lanes(body, carry, (samples, extra), shape[0])
     else:
         carry = batched_alike(carry, (filter, samples))
         (last, total), stored = scan_rows(body, carry, (samples, extra), count)
@@ -221,9 +225,9 @@ def simulate_cost(
 
     Args:
         filter: any filter.
-        samples: N samples, with the truth.
+        samples: N samples, with the truth; or S times N of them, as in `run`.
         initial: the estimate at the first sample.
-        weights: weights of the cost, for N samples.
+        weights: weights of the cost, for each sample.
     """
 
     def look(total: CostParts, view: View, weight: Any) -> tuple[CostParts, None]:

@@ -45,6 +45,24 @@ def scan_rows(step: Step, start: Any, inputs: Any, count: Array | None = None) -
     return scan(on_row, start, rows, count)
 
 
+def scan_lanes(step: Step, start: Any, inputs: Any, lanes: int) -> tuple[Any, Any]:
+    """`scan_rows` of S sequences, each for as many of the lanes: inputs (S, N), the carry (lanes,).
+
+    `vmap` of `scan_rows` has two axes, for which XLA nests two loops. They compute the address of
+    each array anew for each sequence: with 32 agents a Kalman filter took 1.8 times as long.
+    """
+    step = jax.jit(step)  # traced once, for its shapes and for the loop; XLA inlines it
+    leaves, structure = jax.tree.flatten(inputs)
+    rows = jnp.stack([leaf.T for leaf in leaves], axis=1)
+
+    def on_rows(carry: Any, rows: Array) -> tuple[Any, Any]:
+        # The barrier stores them: fused into what uses them, loops would have two axes again.
+        every = lax.optimization_barrier(jnp.repeat(rows, lanes // rows.shape[1], axis=1))
+        return step(carry, jax.tree.unflatten(structure, _along(every, 0)))
+
+    return scan(on_rows, start, rows)
+
+
 def scan_together(
     step: Step, start: Any, inputs: Any, count: Array | None = None
 ) -> tuple[Any, tuple[Any, Any]]:

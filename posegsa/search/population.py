@@ -215,10 +215,35 @@ def agent_costs(
     else:
         cut = partition(*count, shards=shards, piecewise=on_cpu)
 
+    def in_lanes(
+        filters: Filter,
+        samples: Samples,
+        initial: FilterState,
+        begin: Array | None,
+        end: Array | None,
+        recorded: RecordedCost | None,
+    ) -> Array:
+        """The costs of a piece whose filters are those of all agents on each of its scenarios."""
+        starts = jax.tree.map(lambda a: jnp.repeat(a, cut.agents, axis=0), initial)
+        if recorded is not None:
+            weight = jnp.repeat(recorded.position_weight, cut.agents)
+            recorded = recorded._replace(position_weight=weight)
+            costs = simulate_recorded_cost(filters, samples, starts, recorded)
+        else:
+            weighted = jax.vmap(lambda *one: batch.weights.between(*one)[:2])
+            transient, steady = weighted(samples.time, begin, end)
+            weights = batch.weights._replace(transient=transient, steady=steady)
+            costs = simulate_cost(filters, samples, starts, weights).total
+        return costs.reshape(cut.scenarios, cut.agents)
+
     def piece(group: Array, chunk: Array) -> Array:
         given = batch.samples, batch.initial, batch.begin, batch.end, batch.recorded
         each = _part(given, group, cut.scenarios, count[0])
         some = _part(agents, chunk, cut.agents, count[1])
+        if on_cpu and cut.scenarios > 1 and cost is None and elementwise(batch.filter):
+            filters = _over(some, cut.scenarios).applied(batch.filter)
+            if elementwise(filters):  # not with a schedule of the user's
+                return in_lanes(filters, *each)
 
         def on_scenario(
             samples: Samples,
@@ -265,6 +290,11 @@ def agent_costs(
     costs = costs.reshape(cut.groups, cut.chunks, cut.scenarios, cut.agents)
     costs = costs.transpose(0, 2, 1, 3).reshape(cut.groups * cut.scenarios, -1)
     return costs[: count[0], : count[1]]
+
+
+def _over(agents: Candidate, scenarios: int) -> Candidate:
+    """Candidates (A, ...) once for each scenario, one after another: (scenarios A, ...)."""
+    return jax.tree.map(lambda a: jnp.tile(a, (scenarios, *(1,) * (a.ndim - 1))), agents)
 
 
 def _part(tree: Any, index: Array, size: int, count: int) -> Any:

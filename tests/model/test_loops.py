@@ -13,6 +13,7 @@ from posegsa.model.loops import (
     LONGEST_TOGETHER,
     batched_alike,
     scan,
+    scan_lanes,
     scan_rows,
     scan_together,
 )
@@ -75,6 +76,19 @@ def test_simulations_together_are_each_by_itself(until: int) -> None:
             )
         assert last["count"][i] == want_last["count"]
         np.testing.assert_allclose(last["sum"][i], want_last["sum"], rtol=1e-5)
+
+
+def test_lanes_are_each_a_sequence_by_itself() -> None:
+    a, b = np.random.default_rng(1).normal(size=(2, 3, 257)).astype(np.float32)
+    lanes = 6  # two for each of the three sequences
+    start = {"sum": jnp.arange(lanes, dtype=jnp.float32), "count": jnp.arange(lanes)}
+    given = {"a": jnp.asarray(a), "b": jnp.asarray(b)}
+    last, _ = jax.jit(lambda x: scan_lanes(silent, start, x, lanes))(given)
+    for lane in range(lanes):
+        own = jax.tree.map(lambda leaf, i=lane // 2: leaf[i], given)
+        want, _ = lax.scan(silent, jax.tree.map(lambda leaf, i=lane: leaf[i], start), own)
+        assert last["count"][lane] == want["count"]
+        np.testing.assert_allclose(last["sum"][lane], want["sum"], rtol=1e-5)
 
 
 @pytest.mark.usefixtures("x64")

@@ -19,6 +19,7 @@ from posegsa.search.population import (
     ScenarioBatch,
     costs_by_scenario,
     evaluate_population,
+    partition,
 )
 
 AGENTS, SCENARIOS = 100, 2
@@ -78,6 +79,20 @@ def test_costs_by_scenario_are_scenarios_by_agents() -> None:
         costs_by_scenario(Candidate(ConstantGain(gains[[2, 0, 1]])), problem.select([1, 0]))
     )
     np.testing.assert_allclose(other, costs[::-1, [2, 0, 1]], rtol=1e-5)
+
+
+@pytest.mark.parametrize("start", ["given", "sensors"])
+def test_few_agents_on_many_scenarios_have_the_costs_of_each_scenario(start: str) -> None:
+    """A piece holds several scenarios then; `test_recorded` checks this for recordings."""
+    count, gains = 12, np.float32([2.0, 20.0, 9.0])
+    given = paper(f"scenario.start={start}", *lasting(0.3), dtype="float32")
+    batch = posed(given, scenarios=count)
+    assert partition(count, len(gains)).scenarios > 1
+    together = np.asarray(costs_by_scenario(Candidate(ConstantGain(gains)), batch))
+    assert len(np.unique(together)) == together.size
+    for i in range(count):
+        one = costs_by_scenario(Candidate(ConstantGain(gains)), batch.select(np.array([i])))
+        np.testing.assert_allclose(together[i], one[0], rtol=1e-5)
 
 
 def test_a_disordered_agent_costs_infinity_where_order_is_not_repaired() -> None:

@@ -19,7 +19,7 @@ from posegsa.recordings.recording import Recording
 from posegsa.search import memory
 from posegsa.search.candidates import Candidate
 from posegsa.search.configured_filters import filter_of
-from posegsa.search.population import costs_by_scenario
+from posegsa.search.population import costs_by_scenario, partition
 from posegsa.search.problem import tuning_problem
 from posegsa.search.recorded import (
     recorded_batch,
@@ -79,6 +79,16 @@ def test_the_cost_is_that_of_the_filter_on_each_recording(recordings: list[Recor
     costs = np.asarray(costs_by_scenario(GAINS, batch))
     expected = [[cost_by_hand(one, gain, 100.0) for gain in (4.0, 9.0)] for one in recordings]
     np.testing.assert_allclose(costs, expected, rtol=2e-4)
+
+
+def test_many_recordings_have_the_costs_of_each(recordings: list[Recording]) -> None:
+    """Here a piece of the population holds several recordings, above each is by itself."""
+    experiment, count = config.from_dict(BASE), 6
+    assert partition(2 * count, 2).scenarios > 1
+    many = recorded_batch(experiment, recordings * count, position_weight=100.0)
+    one = recorded_batch(experiment, recordings, position_weight=100.0)
+    together, each = (np.asarray(costs_by_scenario(GAINS, batch)) for batch in (many, one))
+    np.testing.assert_allclose(together, np.tile(each, (count, 1)), rtol=1e-5)
 
 
 def test_samples_that_are_not_judged_do_not_count(recordings: list[Recording]) -> None:
