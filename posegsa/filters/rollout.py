@@ -191,8 +191,7 @@ def run(
         The state after the last sample, the sum, and the values that `look` stored, stacked over
         time.
     """
-    ready = filter.ready()
-    shape: tuple[int, ...] = ()
+    ready, shape = filter.ready(), ()
     if elementwise(filter):
         shapes = map(jnp.shape, jax.tree.leaves(state))
         shape = jnp.broadcast_shapes(samples.time.shape[:-1] if together else (), *shapes)
@@ -211,7 +210,7 @@ def run(
         step = body if elementwise(filter) else jax.vmap(body)
         (last, total), stored = scan_together(step, carry, (samples, extra), count)
     elif samples.time.ndim > 1:
-        (last, total), stored = scan_lanes(body, carry, (samples, extra), shape[0])
+        (last, total), stored = scan_lanes(body, carry, (samples, extra))
     else:
         carry = batched_alike(carry, (filter, samples))
         (last, total), stored = scan_rows(body, carry, (samples, extra), count)

@@ -83,7 +83,7 @@ def test_lanes_are_each_a_sequence_by_itself() -> None:
     lanes = 6  # two for each of the three sequences
     start = {"sum": jnp.arange(lanes, dtype=jnp.float32), "count": jnp.arange(lanes)}
     given = {"a": jnp.asarray(a), "b": jnp.asarray(b)}
-    last, _ = jax.jit(lambda x: scan_lanes(silent, start, x, lanes))(given)
+    last, _ = jax.jit(lambda x: scan_lanes(silent, start, x))(given)
     for lane in range(lanes):
         own = jax.tree.map(lambda leaf, i=lane // 2: leaf[i], given)
         want, _ = lax.scan(silent, jax.tree.map(lambda leaf, i=lane: leaf[i], start), own)
