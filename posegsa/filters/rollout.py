@@ -177,8 +177,8 @@ def run(
     Args:
         look: called at each sample.
         filter: any filter.
-        samples: N samples; or for an elementwise filter S times N of them, each for A simulations
-            of state and sum, whose leaves then are (S A,).
+        samples: N samples; or (S, N), each sequence for A simulations of an elementwise filter:
+            the leaves of state and sum are (S A,), those of `extra` (S, N), without a `count`.
         state: state of the filter before the first sample.
         count: number of samples to use; later ones change nothing. By default all are used.
         together: whether samples and state belong to S simulations; then all leaves have one more
@@ -193,7 +193,7 @@ def run(
     """
     ready, shape = filter.ready(), ()
     if elementwise(filter):
-        shapes = map(jnp.shape, jax.tree.leaves(state))
+        shapes = map(jnp.shape, jax.tree.leaves((state, total)))
         shape = jnp.broadcast_shapes(samples.time.shape[:-1] if together else (), *shapes)
         state = of_shape(state, shape)
 
@@ -224,9 +224,9 @@ def simulate_cost(
 
     Args:
         filter: any filter.
-        samples: N samples, with the truth; or S times N of them, as in `run`.
+        samples: N samples, with the truth; or (S, N), as in `run`.
         initial: the estimate at the first sample.
-        weights: weights of the cost, for each sample.
+        weights: weights of the cost, over time as the samples.
     """
 
     def look(total: CostParts, view: View, weight: Any) -> tuple[CostParts, None]:
@@ -249,7 +249,10 @@ def simulate_cost(
 def simulate_recorded_cost(
     filter: Filter, samples: Samples, initial: FilterState, recorded: RecordedCost
 ) -> Array:
-    """Cost on a recording, summed up sample by sample; nothing else is stored (pure, jittable)."""
+    """Cost on a recording, summed up sample by sample; nothing else is stored (pure, jittable).
+
+    `samples` and `recorded` may be of S recordings, (S, N), as in `run`.
+    """
 
     def look(total: SquaredErrors, view: View, entry: Any) -> tuple[SquaredErrors, None]:
         weight, place = entry

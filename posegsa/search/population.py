@@ -196,8 +196,8 @@ def agent_costs(
     """Cost (S, A) of A agents on S scenarios (pure, jittable).
 
     All agents get the same noise (common random numbers), so the noise does not blur differences
-    between them. The agents are the innermost batch axis: one time step of all agents of a piece is
-    a few fused kernels.
+    between them. The agents are the innermost batch axis, on CPUs with the scenarios of a piece as
+    one axis: one time step of all agents of a piece is a few fused kernels.
 
     Args:
         agents: Candidates of one kind, leaves (A, ...).
@@ -241,7 +241,7 @@ def agent_costs(
         each = _part(given, group, cut.scenarios, count[0])
         some = _part(agents, chunk, cut.agents, count[1])
         if on_cpu and cut.scenarios > 1 and cost is None and elementwise(batch.filter):
-            filters = _over(some, cut.scenarios).applied(batch.filter)
+            filters = _over(some, cut.agents, cut.scenarios).applied(batch.filter)
             if elementwise(filters):  # not with a schedule of the user's
                 return in_lanes(filters, *each)
 
@@ -292,9 +292,18 @@ def agent_costs(
     return costs[: count[0], : count[1]]
 
 
-def _over(agents: Candidate, scenarios: int) -> Candidate:
-    """Candidates (A, ...) once for each scenario, one after another: (scenarios A, ...)."""
-    return jax.tree.map(lambda a: jnp.tile(a, (scenarios, *(1,) * (a.ndim - 1))), agents)
+def _over(agents: Candidate, count: int, scenarios: int) -> Candidate:
+    """Candidates (A, ...) once for each scenario, one after another: (scenarios A, ...).
+
+    `count` is A. What all agents share stays as it is.
+    """
+
+    def over(a: Array) -> Array:
+        if not jnp.ndim(a) or a.shape[0] != count:
+            return a
+        return jnp.tile(a, (scenarios, *(1,) * (a.ndim - 1)))
+
+    return jax.tree.map(over, agents)
 
 
 def _part(tree: Any, index: Array, size: int, count: int) -> Any:

@@ -190,6 +190,30 @@ def test_constants_of_a_filter_are_the_same_in_all_simulations() -> None:
         np.testing.assert_array_equal(tracks.bias[:, 3:], [[0.0, 1.0, 2.0]] * 2)
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class KnownStart(Constant):
+    """One whose state is the same in all simulations before the first sample."""
+
+    elementwise: ClassVar[bool] = True
+
+    def start(self, initial: Any, sensors: Sensors) -> Any:
+        zeros = jax.tree.map(lambda a: jnp.zeros((), a.dtype), initial)
+        return 0.0, zeros._replace(attitude=(1.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("scenarios", [1, 12])  # one by one, and several in a piece
+@pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
+def test_a_start_may_be_the_same_in_all_simulations(scenarios: int) -> None:
+    agents = Candidate(None, (jnp.asarray([0.5, 1.0, 2.0]),), ("filter.gain",))
+    filter, keys = KnownStart(jnp.asarray(1.0)), scenario_keys(jax.random.key(0), scenarios)
+    batch = scenario_batch(paper(*lasting(1.0)), keys, filter)
+    costs = np.asarray(jax.jit(lambda a, b: agent_costs(a, b))(agents, batch))
+    for i in range(3):
+        tracks = error_tracks(jax.tree.map(lambda a, i=i: a[i], agents), batch)
+        np.testing.assert_allclose(sum(cost_parts(tracks, batch)), costs[:, i], rtol=1e-9)
+
+
 def test_attitude_filters_together_are_each_by_itself() -> None:
     """One step after another: before and after the first field, at rest, and after a pause."""
     names = AttitudeNumbers._fields

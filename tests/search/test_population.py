@@ -13,7 +13,7 @@ from helpers.controllers import repaired_terms, search_vectors
 from helpers.experiments import lasting, paper, posed, searched
 
 from posegsa.filters.rollout import simulate_cost
-from posegsa.model.schedules import ConstantGain
+from posegsa.model.schedules import ConstantGain, SwitchGain
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import (
     ScenarioBatch,
@@ -84,15 +84,26 @@ def test_costs_by_scenario_are_scenarios_by_agents() -> None:
 @pytest.mark.parametrize("start", ["given", "sensors"])
 def test_few_agents_on_many_scenarios_have_the_costs_of_each_scenario(start: str) -> None:
     """A piece holds several scenarios then; `test_recorded` checks this for recordings."""
-    count, gains = 12, np.float32([2.0, 20.0, 9.0])
+    count, gains = 12, np.float32([2.0, np.nan, 20.0, 9.0])
     given = paper(f"scenario.start={start}", *lasting(0.3), dtype="float32")
     batch = posed(given, scenarios=count)
     assert partition(count, len(gains)).scenarios > 1
     together = np.asarray(costs_by_scenario(Candidate(ConstantGain(gains)), batch))
-    assert len(np.unique(together)) == together.size
+    assert np.isfinite(together).all(axis=0).tolist() == [True, False, True, True]
+    assert len(np.unique(together[:, [0, 2, 3]])) == 3 * count
     for i in range(count):
         one = costs_by_scenario(Candidate(ConstantGain(gains)), batch.select(np.array([i])))
         np.testing.assert_allclose(together[i], one[0], rtol=1e-5)
+
+
+def test_few_agents_may_share_numbers() -> None:
+    gains, count = np.float32([2.0, 20.0, 9.0]), 12
+    batch = posed(paper(*lasting(0.3), dtype="float32"), scenarios=count)
+    shared, never = jnp.float32(0.1), jnp.float32(0.0)
+    each = SwitchGain(gains, gains[::-1], jnp.full(3, shared), jnp.full(3, never))
+    own = costs_by_scenario(Candidate(each), batch)
+    costs = costs_by_scenario(Candidate(SwitchGain(gains, gains[::-1], shared, never)), batch)
+    np.testing.assert_allclose(costs, own, rtol=1e-5)
 
 
 def test_a_disordered_agent_costs_infinity_where_order_is_not_repaired() -> None:
