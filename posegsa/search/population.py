@@ -215,15 +215,9 @@ def agent_costs(
     else:
         cut = partition(*count, shards=shards, piecewise=on_cpu)
 
-    def in_lanes(
-        filters: Filter,
-        samples: Samples,
-        initial: FilterState,
-        begin: Array | None,
-        end: Array | None,
-        recorded: RecordedCost | None,
-    ) -> Array:
+    def in_lanes(filters: Filter, each: Any) -> Array:
         """The costs of a piece whose filters are those of all agents on each of its scenarios."""
+        samples, initial, begin, end, recorded = each
         starts = jax.tree.map(lambda a: jnp.repeat(a, cut.agents, axis=0), initial)
         if recorded is not None:
             weight = jnp.repeat(recorded.position_weight, cut.agents)
@@ -243,7 +237,7 @@ def agent_costs(
         if on_cpu and cut.scenarios > 1 and cost is None and elementwise(batch.filter):
             filters = _over(some, cut.agents, cut.scenarios).applied(batch.filter)
             if elementwise(filters):  # not with a schedule of the user's
-                return in_lanes(filters, *each)
+                return in_lanes(filters, each)
 
         def on_scenario(
             samples: Samples,
