@@ -21,10 +21,10 @@ from posegsa.words import toml
 ScheduleKind = Literal["fuzzy", "constant", "smooth"]
 """What sets the observer's gain."""
 
-NoiseScheduleKind = Literal["off", "fuzzy", "constant", "smooth", "ramp", "clock"]
+NoiseScheduleKind = Literal["off", "fuzzy", "constant", "smooth", "ramp", "switch", "clock"]
 """The schedule that changes a noise of the Kalman filter, or a weight of the observer: none; the
-controller of k1..k22; a constant; a smooth or a straight function of the error; or a function of
-the time since the start."""
+controller of k1..k22; a constant; a smooth or a straight function of the error; or two constants or
+a curve over the time since the start."""
 _WHICH = Field(
     description='Which filter: "observer", "kalman", "imu", or "own", one that the user passes.'
 )

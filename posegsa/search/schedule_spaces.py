@@ -85,31 +85,32 @@ def schedule_space(
     """
     offset, (low, high) = experiment.fuzzy.offset, experiment.parameters.gain_range
     least = lowest or min(GAINS[0], max(offset + low, LOWEST_GAIN))
-    return _space(kind, experiment, (math.log(least), math.log(max(GAINS[1], offset + high))))
+    gains = math.log(least), math.log(max(GAINS[1], offset + high))
+    # Without estimated biases there is nothing to switch on later.
+    learns = getattr(experiment.filter, "vector_bias", "off") == "estimated"
+    return _space(kind, experiment, gains, learns=learns)
 
 
 def noise_space(kind: str, experiment: config.Experiment) -> SimpleSpace:
     """The search space of a schedule of a Kalman filter's noise, whose output is in [1, 101].
 
     Args:
-        kind: "constant", "smooth", "ramp" or "clock".
+        kind: "constant", "smooth", "ramp", "switch" or "clock".
         experiment: Its duration is used.
     """
-    return _space(kind, experiment, (0.0, math.log(101.0)))
+    return _space(kind, experiment, (0.0, math.log(101.0)), learns=False)
 
 
-def _space(kind: str, experiment: config.Experiment, gain: Ends) -> SimpleSpace:
+def _space(kind: str, experiment: config.Experiment, gain: Ends, *, learns: bool) -> SimpleSpace:
     """The search space of a kind of schedule with gains between these logarithms.
 
-    Times of a switch go up to half of a scenario. The scaled error at half gain goes from 0.003
-    to 1.
+    Times of a switch go up to half of a scenario, that of the vectors' bias law only if it `learns`
+    later than from the start. The scaled error at half gain goes from 0.003 to 1.
     """
     end = experiment.scenario.duration
     half = (math.log(0.003), 0.0)
     switch = (math.log(0.05), math.log(max(0.5 * end, 0.05)))
-    # Without estimated biases there is nothing to switch on later.
-    learnt = getattr(experiment.filter, "vector_bias", "off") == "estimated"
-    learning = (0.0, 0.5 * end if learnt else 0.0)
+    learning = (0.0, 0.5 * end if learns else 0.0)
     boxes: dict[str, tuple[list[Ends], Callable[[Array], GainSchedule]]] = {
         "constant": ([gain], _constant),
         "switch": ([gain, gain, switch, learning], _switch),

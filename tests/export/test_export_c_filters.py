@@ -41,7 +41,7 @@ from posegsa.filters.rollout import Estimates, run_filter
 from posegsa.model import sensor_loops
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import prepare
-from posegsa.model.schedules import KnotGain, RampGain
+from posegsa.model.schedules import KnotGain, RampGain, SwitchGain
 from posegsa.model.vectors import VectorSettings
 
 VECTORS = np.array([[0.6, -0.5, 0.62], [0.0, 0.1, 1.0]])
@@ -109,12 +109,13 @@ def believing() -> Filter:
     """The observer as shipped, with belief in each sensor."""
     with jax.enable_x64(True):
         line = RampGain(jnp.asarray(0.1), jnp.asarray(2.0))
+        switch = SwitchGain(*map(jnp.asarray, (1.0, 20.0, 0.5, 0.0)))
         shipped = posegsa.configured("observer").filter_for(vectors=2, landmarks=2)
         shipped = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, np.float64)), shipped)
         signal = NoiseSignal(*map(jnp.asarray, (0.1, 1e6, 0.1, 1e6)))
         return replace(
             shipped,
-            schedule=ObserverGains(shipped.schedule, line, line),
+            schedule=ObserverGains(shipped.schedule, line, switch),
             belief=BeliefSettings(signal, jnp.asarray(0.1), jnp.asarray(0.1)),
         )
 

@@ -49,7 +49,7 @@ from posegsa.model.schedules import (
 from posegsa.search.candidates import Candidate
 from posegsa.search.population import costs_by_scenario
 from posegsa.search.problem import TuningProblem, tuning_problem
-from posegsa.search.schedule_spaces import KNOTS, knot_times, schedule_space
+from posegsa.search.schedule_spaces import KNOTS, knot_times, noise_space, schedule_space
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -168,6 +168,7 @@ def test_learning_begins_later_only_where_biases_are_learnt() -> None:
     learnt = tiny("filter.vector_bias=estimated")
     assert float(schedule_space("switch", learnt).upper[3]) == 1
     assert float(schedule_space("switch", tiny()).upper[3]) == 0
+    assert float(noise_space("switch", learnt).upper[3]) == 0, "a noise has no bias law"
 
 
 def test_replayed_gains_are_the_tuned_ones_where_these_ignore_the_error(problem) -> None:

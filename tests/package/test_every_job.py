@@ -60,7 +60,7 @@ FILTERS: dict[str, tuple[dict[str, Any], Callable[..., Any] | None]] = {
     "believing": ({"schedule": "constant", "belief": "ramp"}, None),
     "kalman": ({"kind": "kalman", "vector_bias": "off"}, None),
     "scheduled kalman": (
-        {"kind": "kalman", "vector_bias": "off", "belief": "fuzzy", "unknown": "ramp"},
+        {"kind": "kalman", "vector_bias": "off", "belief": "fuzzy", "unknown": "switch"},
         None,
     ),
     "imu": ({"kind": "imu"}, None),
