@@ -46,6 +46,7 @@ COMMANDS: dict[str, list[str]] = {
     "posegsa --help": ["-m", "posegsa", "--help"],
     "posegsa tune --seed x": ["-m", "posegsa", "tune", "--seed", "x"],
     "import posegsa": ["-c", "import posegsa"],
+    "tune (README's first command)": ["-m", "posegsa", "tune", "--out", "run", "--overwrite"],
     "tune quick": ["-m", "posegsa", "tune", "quick", "--out", "quick-run", "--overwrite"],
     "tune quick --no-figures": [
         *("-m", "posegsa", "tune", "quick", "--no-figures", "--out", "bare", "--overwrite"),
