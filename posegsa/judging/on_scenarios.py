@@ -77,19 +77,25 @@ class OnScenarios:
             one_run,
             self.endurance.table((self.evaluation.own, self.beside), endurance_scenarios),
         ]
-        inside = float(np.mean(self.evaluation.contenders[self.evaluation.own].metrics.nees_inside))
-        if inside < SURE_ENOUGH:  # not without a covariance, where it is NaN
-            parts.append(
-                f"{called(self.evaluation.own).capitalize()} is too sure: once settled, the true "
-                f"pose is inside its 95 % bound at {100 * inside:.0f} % of the samples. Do not "
-                "trust its covariance."
-            )
+        if sure := self.too_sure():
+            parts.append(sure)
         if self.trust.rule_weights is not None:
             parts.append(
                 f"{self.trust.used_rules} of {self.trust.rule_weights.size} rules carry 1 % or "
                 "more of the weight."
             )
         return "\n\n".join(parts)
+
+    def too_sure(self) -> str:
+        """That the judged filter's covariance is too small, in words; "" if it is not."""
+        own = self.evaluation.own
+        inside = float(np.mean(self.evaluation.contenders[own].metrics.nees_inside))
+        if not inside < SURE_ENOUGH:  # nor without a covariance, where it is NaN
+            return ""
+        return (
+            f"{called(own).capitalize()} is too sure: once settled, the true pose is inside its "
+            f"95 % bound at {100 * inside:.0f} % of the samples. Do not trust its covariance."
+        )
 
     def not_finite(self) -> str:
         """On how many scenarios the judged filter has no finite cost, in words; "" if on none."""

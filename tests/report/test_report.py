@@ -234,6 +234,13 @@ def test_the_trust_checks_are_shown():
     assert [row[0] for row in double[1:3]] == ["float32", "float64 (used in the run)"]
 
 
+def test_a_covariance_that_is_too_small_is_told():
+    sure = changed(evaluation(), TUNED, nees_inside=np.full(40, 0.55))
+    text = page(result(evaluation=sure)).text
+    assert "inside its 95 % bound at 55 % of the samples. Do not trust its covariance." in text
+    assert "too sure:" not in page().text
+
+
 def test_every_rule_is_shown_with_its_weight():
     head, *rows = page().table("Rules")
     assert head[1:] == ["Error VS", "Error S", "Error M", "Error L", "Error VL"]
