@@ -221,7 +221,8 @@ def tables(kept: dict[str, dict[str, Any]], seeds: int) -> str:
             *("", each["note"]),
         ]
     lines += ["", "### Seeds of the search", ""]
-    lines += ["Each seed has training and held-out scenarios of its own."]
+    own = "Each seed has training and held-out scenarios of its own"
+    lines += [f"{own}, so a column differs from another by both."]
     for kind in JUDGED:
         of_seeds = [kept.get(f"{kind} {seed}") for seed in range(seeds)]
         there = [each for each in of_seeds if each is not None]
