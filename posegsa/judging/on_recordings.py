@@ -15,7 +15,7 @@ from posegsa.filters.rollout import Estimates
 from posegsa.judging.description import Description, described_filter
 from posegsa.judging.evaluation import CONSTANT, IMU_AS_IT_COMES, advice, frame_option
 from posegsa.judging.known_sensors import StoredSensors
-from posegsa.judging.replayed import HEADS, error_rows, replayed_on, with_heads
+from posegsa.judging.replayed import HEADS, error_rows, replayed_on, surprised, with_heads
 from posegsa.judging.verdict import Loss, verdict
 from posegsa.recordings.accuracy import BLOCK, FEWEST_BLOCKS, AnyNumber, Blocks, Rmse
 from posegsa.recordings.broad import GYROSCOPE
@@ -176,7 +176,10 @@ class OnRecordings:
     def warnings(self) -> list[str]:
         """What a reader must know before trusting the filter."""
         found = [behind] if (behind := self._behind_constant()) else []
-        shares = [each.limited for each in self.held_out or self.training]
+        judged = self.held_out or self.training
+        if words := surprised(mean_errors(judged).nis):
+            found.append(words)
+        shares = [each.limited for each in judged]
         cut = [share for share in shares if share is not None]
         if cut and np.mean(cut) > LIMITED_SHARE:
             found.append(

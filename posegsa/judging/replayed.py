@@ -18,6 +18,8 @@ MOST_TIMES = 3
 """Maximum number of times in a sentence."""
 LOST_RATIO = 10.0
 """Multiple of the position error at the start above which the position at the end is lost."""
+SURPRISED = 2.0
+"""Mean NIS above which a filter's noises are called too small."""
 
 
 class Replay(NamedTuple):
@@ -175,14 +177,37 @@ def replay_table(replays: Sequence[Replay]) -> str:
         for each in replays
         if (words := each.lost)
     ]
+    told += [
+        f"  warning: {each.recording.name}: {words}"
+        for each in replays
+        if (words := surprised(_nis(each)))
+    ]
     table = [text_table(with_heads([*HEADS], rows))] if rows else []
     return "\n".join([*table, *told])
+
+
+def surprised(nis: float | None) -> str:
+    """Why a mean NIS [-] is far above 1, in words; "" if it is not, or is unknown."""
+    if nis is None or not SURPRISED < nis < np.inf:
+        return ""
+    return (
+        f"the sensors are {np.sqrt(nis):.2g} times as far from their prediction as the filter "
+        f"expects (NIS {nis:.3g}, 1 if its noises are right): the start is wrong, or a sensor is "
+        "noisier than stated, or disturbed. Where it is disturbed, `posegsa tune --set "
+        "filter.belief=ramp` finds how far to believe each"
+    )
+
+
+def _nis(replay: Replay) -> float | None:
+    """The mean NIS of a replay, of the judged samples if it has a truth."""
+    if replay.errors is not None:
+        return replay.errors.rmse()["judged"].nis
+    return None if replay.estimates.nis is None else known_mean(replay.estimates.nis)
 
 
 def _without_truth(replay: Replay) -> str:
     """What can be said of a replay on a recording without a truth."""
     words = f"{replay.recording.name}: has no truth, so that no errors can be shown"
-    nis = replay.estimates.nis
-    if nis is not None and np.isfinite(mean := known_mean(nis)):
+    if (mean := _nis(replay)) is not None and np.isfinite(mean):
         words += f"; NIS {mean:.3g}, 1 if the noises are right"
     return words

@@ -91,6 +91,17 @@ def test_a_filter_with_a_covariance_says_how_right_it_is(
     assert re.search(r"has no truth.*; NIS \S+, 1 if the noises are right", without)
 
 
+def test_sensors_that_are_far_noisier_than_the_filter_believes_are_warned_of() -> None:
+    clean = bench()
+    noise = np.random.default_rng(0).normal(size=clean["vectors"].shape)
+    warning = "warning: bench: the sensors are "
+    for scale, told in ((0.1, False), (0.3, True)):
+        noisy = bench(vectors=clean["vectors"] + scale * noise)
+        for truth in ({}, {"truth_rotation": None, "truth_position": None}):
+            recording = Recording.from_arrays(name="bench", **noisy | truth)
+            assert (warning in replay_table(posegsa.replay("kalman", recording))) == told
+
+
 def test_errors_are_drawn_by_axis_with_two_sigma(result: Result, recording: Recording) -> None:
     (found,) = posegsa.replay("kalman", recording)
     figure = replay_figures.plot_replay_uncertainty(found)

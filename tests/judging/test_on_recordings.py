@@ -72,6 +72,15 @@ def test_a_filter_that_is_lost_loses() -> None:
     assert verdict((90.0, np.inf), EKF=(0.3, 0.01)).startswith("Best on what was held out: EKF")
 
 
+@pytest.mark.parametrize(("nis", "told"), [(4.42, True), (1.9, False), (np.inf, False), (None, 0)])
+def test_sensors_far_from_their_prediction_are_told_of(nis: float | None, told: bool) -> None:
+    (one,) = scores(2.8, 0.22)
+    one.errors["judged"] = one.errors["judged"]._replace(nis=nis)
+    words = " ".join(OnRecordings(training=[], held_out=[one], baselines={}).warnings())
+    assert ("2.1 times as far from their prediction" in words) == told
+    assert ("`posegsa tune --set filter.belief=ramp`" in words) == told
+
+
 def test_what_is_true_of_all_recordings_is_said_once() -> None:
     (one,) = scores(0.2, None)
     same, own = {"gyroscope": "measured"}, {"velocity": "simulated"}
