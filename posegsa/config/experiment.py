@@ -261,7 +261,7 @@ class Experiment(Section):
             words = f"of its schedules ({', '.join(self.filter.roles)})"
         needed = sum(sum(SCHEDULE_NUMBERS[kind].values()) for kind in kinds)
         if given and given != needed:
-            allowed = f"{needed} {words}, or none" if needed else "none"
+            allowed = f"{needed} {words}, or none" if needed else "none, as no schedule is on"
             yield Violation("tuned.numbers", f"allowed: {allowed}", given)
         for key, value in self.tuned.also.items():
             if key not in places:

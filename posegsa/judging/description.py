@@ -240,9 +240,14 @@ def configured_filter(experiment: Experiment) -> Description:
     if isinstance(section, config.ObserverConfig):
         kinds = {"": section.schedule, **kinds}
     if kinds and (not values or experiment.fuzzy.rules == SEARCHED):
+        needed = [
+            ("" if length == 1 else f"{length} of ") + (f"{role}.{name}" if role else name)
+            for role, kind in kinds.items()
+            for name, length in config.SCHEDULE_NUMBERS[kind].items()
+        ]
         refuse(
             f"tuned.numbers: none of a {title_of(kind_of(experiment))}, or rules that are searched",
-            "a configuration with the numbers of a tuning, or the folder of a run",
+            f"[tuned] numbers = [{', '.join(needed)}], or the folder of a run",
         )
     numbers: dict[str, list[float]] = {}
     for role, kind in kinds.items():

@@ -185,6 +185,10 @@ def test_a_schedule_without_numbers_is_refused_and_a_kalman_filter_has_its_own()
     assert configured_filter(config.override(tiny(), ["filter.kind=kalman"])) == Description(
         "kalman", {}, {}, 0
     )
+    ramps = posegsa.load_config("kalman").replace(**{"filter.belief": "ramp"})
+    needed = r"numbers = \[vectors.start, vectors.slope, landmarks.start, landmarks.slope\]"
+    with pytest.raises(ArgumentError, match=needed):
+        configured_filter(ramps)
 
 
 def test_the_controller_of_a_kalman_filter_lies_in_the_boxes_too() -> None:
