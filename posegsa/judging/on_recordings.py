@@ -177,7 +177,7 @@ class OnRecordings:
         """What a reader must know before trusting the filter."""
         found = [behind] if (behind := self._behind_constant()) else []
         judged = self.held_out or self.training
-        if words := surprised(mean_errors(judged).nis):
+        if judged and (words := surprised(mean_errors(judged).nis)):
             found.append(words)
         shares = [each.limited for each in judged]
         cut = [share for share in shares if share is not None]

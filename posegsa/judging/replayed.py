@@ -201,7 +201,8 @@ def surprised(nis: float | None) -> str:
 def _nis(replay: Replay) -> float | None:
     """The mean NIS of a replay, of the judged samples if it has a truth."""
     if replay.errors is not None:
-        return replay.errors.rmse()["judged"].nis
+        judged = replay.errors.rmse().get("judged")
+        return None if judged is None else judged.nis
     return None if replay.estimates.nis is None else known_mean(replay.estimates.nis)
 
 

@@ -81,6 +81,10 @@ def test_sensors_far_from_their_prediction_are_told_of(nis: float | None, told: 
     assert ("`posegsa tune --set filter.belief=ramp`" in words) == told
 
 
+def test_without_a_judged_recording_nothing_is_warned_of() -> None:
+    assert OnRecordings(training=[], held_out=[], baselines={}).warnings() == []
+
+
 def test_what_is_true_of_all_recordings_is_said_once() -> None:
     (one,) = scores(0.2, None)
     same, own = {"gyroscope": "measured"}, {"velocity": "simulated"}
