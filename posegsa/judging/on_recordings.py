@@ -15,7 +15,7 @@ from posegsa.filters.rollout import Estimates
 from posegsa.judging.description import Description, described_filter
 from posegsa.judging.evaluation import CONSTANT, IMU_AS_IT_COMES, advice, frame_option
 from posegsa.judging.known_sensors import StoredSensors
-from posegsa.judging.replayed import HEADS, error_rows, replayed_on, surprised, with_heads
+from posegsa.judging.replayed import HEADS, error_rows, far_off, replayed_on, with_heads
 from posegsa.judging.verdict import Loss, verdict
 from posegsa.recordings.accuracy import BLOCK, FEWEST_BLOCKS, AnyNumber, Blocks, Rmse
 from posegsa.recordings.broad import GYROSCOPE
@@ -177,7 +177,7 @@ class OnRecordings:
         """What a reader must know before trusting the filter."""
         found = [behind] if (behind := self._behind_constant()) else []
         judged = self.held_out or self.training
-        if judged and (words := surprised(mean_errors(judged).nis)):
+        if judged and (words := far_off(mean_errors(judged).nis)):
             found.append(words)
         shares = [each.limited for each in judged]
         cut = [share for share in shares if share is not None]

@@ -18,7 +18,7 @@ MOST_TIMES = 3
 """Maximum number of times in a sentence."""
 LOST_RATIO = 10.0
 """Multiple of the position error at the start above which the position at the end is lost."""
-SURPRISED = 2.0
+LARGE_NIS = 2.0
 """Mean NIS above which a filter's noises are called too small."""
 
 
@@ -180,15 +180,18 @@ def replay_table(replays: Sequence[Replay]) -> str:
     told += [
         f"  warning: {each.recording.name}: {words}"
         for each in replays
-        if (words := surprised(_nis(each)))
+        if (words := far_off(_nis(each)))
     ]
     table = [text_table(with_heads([*HEADS], rows))] if rows else []
     return "\n".join([*table, *told])
 
 
-def surprised(nis: float | None) -> str:
-    """Why a mean NIS [-] is far above 1, in words; "" if it is not, or is unknown."""
-    if nis is None or not SURPRISED < nis < np.inf:
+def far_off(nis: float | None) -> str:
+    """That measurements are far from their prediction, by a mean NIS, and what to do, in words.
+
+    "" if they are not, or the NIS is unknown or not finite.
+    """
+    if nis is None or not LARGE_NIS < nis < np.inf:
         return ""
     return (
         f"the sensors are {np.sqrt(nis):.2g} times as far from their prediction as the filter "

@@ -72,7 +72,9 @@ def test_a_filter_that_is_lost_loses() -> None:
     assert verdict((90.0, np.inf), EKF=(0.3, 0.01)).startswith("Best on what was held out: EKF")
 
 
-@pytest.mark.parametrize(("nis", "told"), [(4.42, True), (1.9, False), (np.inf, False), (None, 0)])
+@pytest.mark.parametrize(
+    ("nis", "told"), [(4.42, True), (1.9, False), (np.inf, False), (None, False)]
+)
 def test_sensors_far_from_their_prediction_are_told_of(nis: float | None, told: bool) -> None:
     (one,) = scores(2.8, 0.22)
     one.errors["judged"] = one.errors["judged"]._replace(nis=nis)
