@@ -173,6 +173,7 @@ def table(result: Result) -> str:
     lines += ["", "| time | tuned filter | best constant gains |", "| --- | --- | --- |"]
     judged = result.on_scenarios
     assert judged is not None
+    assert judged.endurance is not None  # the experiment runs it
     for begin, end, *errors in judged.endurance.rows():
         tuned, constant = (
             f"{attitude:.2f}° {100 * position:.1f} cm"

@@ -106,8 +106,9 @@ def errors(attitude: float, position: float) -> str:
 
 def endurance_rows(case: Case, result: Result) -> list[str]:
     """The rows of one result in the table of endurance."""
-    rows = []
-    for begin, end, *both in on_scenarios(result).endurance.rows():
+    long_after, rows = on_scenarios(result).endurance, []
+    assert long_after is not None  # the cases run it
+    for begin, end, *both in long_after.rows():
         tuned, constant = errors(*both[:2]), errors(*both[3:5])  # not the distances
         rows.append(f"| {case.title} | {begin:g} to {end:g} s | {tuned} | {constant} |")
     return rows

@@ -132,10 +132,6 @@ def _words(options: argparse.Namespace, result: "Result") -> str:
     if options.recording is not None or judged is None:
         return f"\n{result.summary()}"
     long = result.experiment.run.endurance_scenarios
-    parts = [
-        judged.evaluation.table(),
-        judged.endurance.table((judged.evaluation.own, judged.beside), long),
-        judged.evaluation.verdict(),
-    ]
+    parts = [judged.evaluation.table(), judged.long_after(long), judged.evaluation.verdict()]
     warnings = (f"\n  warning: {warning}" for warning in result.warnings())
-    return "\n\n".join(parts) + "".join(warnings)
+    return "\n\n".join(part for part in parts if part) + "".join(warnings)

@@ -73,7 +73,7 @@ class RunConfig(Section):
     endurance_scenarios: Count = 16
     """Number of further scenarios, longer than those that the filter was tuned on."""
     endurance_times: Annotated[int, Field(strict=True, ge=1, le=1000)] = 8
-    """Duration of these as a multiple of the others'; 1 means that they are not longer."""
+    """Duration of these as a multiple of the others'; 1 means that none are run."""
 
 
 class CostConfig(Section):

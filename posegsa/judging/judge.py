@@ -42,7 +42,7 @@ from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.recorded_baselines import beside_what_was_not_searched
 from posegsa.judging.result import FoundBy, Result
 from posegsa.judging.trajectory import trajectory_on
-from posegsa.judging.untuned import always_starts, untuned_kalman
+from posegsa.judging.untuned import always_starts, untuned_kalman, with_idle_schedules
 from posegsa.recordings.recording import Recording
 from posegsa.runtime import environment
 from posegsa.search.background import in_background
@@ -176,11 +176,13 @@ def on_scenarios(
     _begin("the filter to compare with")
     name, other, evaluations = _beside(problem, tuned)
     judged = own_name(found)
-    candidates = {judged: tuned, name: other}
     descriptions = {judged: found, name: describe(other, experiment, evaluations)}
     _begin("unseen scenarios")
     # Training and held-out scenarios run together, so each kind of schedule compiles once.
-    tracks = {name: error_tracks(each, scenarios) for name, each in candidates.items()}
+    tracks = {judged: error_tracks(tuned, scenarios)}
+    if other.schedule is None:
+        scenarios = scenarios._replace(filter=with_idle_schedules(scenarios.filter, problem))
+    tracks[name] = error_tracks(other, scenarios)
     training = {
         name: metrics_of(each.select(slice(count)), problem.training, problem.cost)[0].cost
         for name, each in tracks.items()
@@ -195,11 +197,12 @@ def on_scenarios(
         for name, each in tracks.items()
     }
     _begin("long after")
-    long_after = endurance(problem, tuned, other)
+    longer = experiment.run.endurance_times > 1
+    long_after = endurance(problem, tuned, other) if longer else None
     _begin("references")
     untuned, clairvoyant = known()
     _begin("one run")
-    trajectory = trajectory_on(tuned, scenarios, count)  # the first held-out scenario
+    trajectory = trajectory_on(tuned, problem.simulated, count)  # the first held-out scenario
     _begin("trust")
     return OnScenarios(
         training=training,
@@ -235,7 +238,8 @@ def _untuned(problem: TuningProblem) -> dict[str, Contender]:
     if not always_starts(batch):
         return {}
     found = configured_filter(plain)
-    tracks = error_tracks(candidate_of(found, plain), batch)
+    idle = batch._replace(filter=with_idle_schedules(batch.filter, problem))
+    tracks = error_tracks(candidate_of(found, plain), idle)
     return {UNTUNED: contender(tracks, batch, found, problem.cost)}
 
 

@@ -28,8 +28,8 @@ class OnScenarios:
     evaluation: Evaluation
     """Both filters, an untuned Kalman filter (after `evaluate`, all baselines) and the clairvoyant
     on held-out scenarios."""
-    endurance: Endurance
-    """Both filters long after the time that they were tuned for."""
+    endurance: Endurance | None
+    """Both filters long after the time that they were tuned for; None if that was not run."""
     trust: Trust
     trajectory: Trajectory
     """The tuned filter on the first held-out scenario."""
@@ -72,11 +72,9 @@ class OnScenarios:
             one_run = (
                 f"On one unseen scenario the estimate is not finite from {last.lost:.4g} s on."
             )
-        parts = [
-            text_table(rows),
-            one_run,
-            self.endurance.table((self.evaluation.own, self.beside), endurance_scenarios),
-        ]
+        parts = [text_table(rows), one_run]
+        if long_after := self.long_after(endurance_scenarios):
+            parts.append(long_after)
         if sure := self.too_sure():
             parts.append(sure)
         if self.trust.rule_weights is not None:
@@ -85,6 +83,16 @@ class OnScenarios:
                 "more of the weight."
             )
         return "\n\n".join(parts)
+
+    def long_after(self, scenarios: int) -> str:
+        """Both filters long after the time that they were tuned for, as text; "" if not run.
+
+        Args:
+            scenarios: Number of the longer scenarios.
+        """
+        if self.endurance is None:
+            return ""
+        return self.endurance.table((self.evaluation.own, self.beside), scenarios)
 
     def too_sure(self) -> str:
         """That the judged filter's covariance is too small, in words; "" if it is not."""
@@ -131,7 +139,7 @@ class OnScenarios:
             found.append(f"{called(own)} diverged on {counted(bad, 'held-out scenario')}")
         if t.uncovered:
             found.append(f"no rule fires for {100 * t.uncovered:.1f} % of errors and rates")
-        if worse := self.endurance.worse():
+        if self.endurance is not None and (worse := self.endurance.worse()):
             found.append(
                 f"past the time that it was tuned for it is worse than {called(self.beside)}: "
                 f"{', '.join(worse)}"

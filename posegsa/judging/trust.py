@@ -109,7 +109,9 @@ def other_precision(problem: TuningProblem, tuned: Candidate) -> float:
 
     with jax.enable_x64(dtype == "float64"):
         candidate, training = jax.tree.map(cast, own)
-        metrics, _ = metrics_of(error_tracks(candidate, training), training, problem.cost)
+        # It runs once, on the training scenarios alone.
+        tracks = error_tracks(candidate, training, optimised=False)
+        metrics, _ = metrics_of(tracks, training, problem.cost)
         return float(np.mean(metrics.cost))
 
 

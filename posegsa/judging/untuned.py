@@ -6,12 +6,18 @@ first pose that the sensors show.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from posegsa import config
+from posegsa.filters.base import Filter
+from posegsa.filters.kalman import KalmanFilter
+from posegsa.filters.noise_schedules import NoiseSignals
 from posegsa.search.population import ScenarioBatch
+from posegsa.search.problem import TuningProblem
 
 SMALLEST_NOISE = 1e-3
 """Smallest standard deviation of a sensor and of a bias that it assumes, in their units."""
@@ -81,6 +87,28 @@ def with_kalman(experiment: config.Experiment, filter: config.KalmanConfig) -> c
     """
     plain = {"tuned": config.TunedConfig(), "fuzzy": config.FuzzyConfig()}
     return experiment.replace(filter=filter, **plain, **{"parameters.also": config.KALMAN_ALSO})
+
+
+def with_idle_schedules(plain: Filter, problem: TuningProblem) -> Filter:
+    """A Kalman filter without schedules as one whose schedules change nothing.
+
+    It computes the same, with the program that judges the filter which a problem tunes. To compile
+    a program of its own would take longer than all its runs. Any other filter is returned as it is.
+    """
+    scheduled = problem.simulated.filter
+    if not isinstance(plain, KalmanFilter) or not isinstance(scheduled, KalmanFilter):
+        return plain
+    if scheduled.signals is None:
+        return plain
+    box = problem.space.box
+    any_schedule = problem.space.candidate(0.5 * (box.lower + box.upper)).schedule
+    signals = NoiseSignals(
+        *(each._replace(largest=np.ones_like(each.largest)) for each in scheduled.signals)
+    )
+    changes: dict[str, Any] = {"schedule": any_schedule, "signals": signals}
+    scheduled = replace(scheduled, **changes)
+    idle = replace(plain, **changes, belief_input=scheduled.belief_input)
+    return idle if jax.tree.structure(idle) == jax.tree.structure(scheduled) else plain
 
 
 def always_starts(batch: ScenarioBatch) -> bool:

@@ -209,7 +209,7 @@ def test_evaluate_judges_the_run_that_it_writes_to(tmp_path, monkeypatch):
     class Judged:
         on_scenarios = SimpleNamespace(
             evaluation=SimpleNamespace(table=str, verdict=str, own="tuned filter"),
-            endurance=SimpleNamespace(table=lambda *_: ""),
+            long_after=lambda _: "",
             beside="another",
         )
         experiment = config.Experiment()

@@ -52,6 +52,12 @@ def test_the_cost_is_the_running_cost(posed, tracks):
     np.testing.assert_allclose(found.transient + found.steady, found.cost)
 
 
+def test_a_program_that_is_not_optimised_computes_the_same(posed, tracks):
+    found = error_tracks(Candidate(ConstantGain(jnp.float32(20))), posed, optimised=False)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(tracks), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-4)
+
+
 def test_the_distance_is_from_the_estimated_to_the_true_position(posed, tracks):
     assert tracks.distance.shape == tracks.position.shape == (6, 200)
     run = trajectory_on(Candidate(ConstantGain(jnp.float32(20))), posed, 3)

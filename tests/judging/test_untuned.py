@@ -1,14 +1,25 @@
 """The untuned Kalman filter compared with a tuned one."""
 
+import jax
 import numpy as np
 import pytest
 from helpers.experiments import tiny
 
 import posegsa
 from posegsa import config
+from posegsa.filters.kalman import KalmanFilter
 from posegsa.judging.description import Description
 from posegsa.judging.evaluation import UNTUNED
-from posegsa.judging.untuned import SMALLEST_NOISE, bias_spread, untuned_kalman
+from posegsa.judging.metrics import error_tracks
+from posegsa.judging.untuned import (
+    SMALLEST_NOISE,
+    bias_spread,
+    untuned_kalman,
+    with_idle_schedules,
+)
+from posegsa.search.candidates import Candidate
+from posegsa.search.configured_filters import filter_of
+from posegsa.search.problem import tuning_problem
 
 pytestmark = pytest.mark.filterwarnings("ignore::posegsa.errors.PosegsaWarning")
 
@@ -58,3 +69,45 @@ def test_where_no_sample_fixes_a_pose_it_is_left_out() -> None:
     result = posegsa.tune(noisy(vectors=vectors))
     assert result.on_scenarios is not None
     assert UNTUNED not in result.on_scenarios.evaluation.contenders
+
+
+def of_kalman(*settings: str) -> config.Experiment:
+    short = ["scenario.duration=2.0", "cost.steady_window=[150, 199]", "run.held_out_scenarios=2"]
+    return config.override(config.load("kalman"), [*short, *settings])
+
+
+def scheduled(*settings: str) -> config.Experiment:
+    roles = ("filter.unknown=fuzzy", "filter.belief=ramp", "filter.belief_input=variance")
+    return of_kalman("filter.vector_walk=0.01", *roles, *settings)
+
+
+def test_idle_schedules_change_no_error() -> None:
+    problem = tuning_problem(scheduled("filter.vector_bias=off"))
+    batch = problem.held_out
+    idle = with_idle_schedules(batch.filter, problem)
+    assert isinstance(idle, KalmanFilter)
+    assert None not in idle.schedule
+    several = (batch, batch._replace(filter=idle))
+    without, found = (error_tracks(Candidate(), one, optimised=False) for one in several)
+    assert without.nees is not None
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(without), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.quick
+def test_with_idle_schedules_it_shares_the_program_of_the_filter_that_is_tuned() -> None:
+    experiment = scheduled()
+    problem, plain = tuning_problem(experiment), filter_of(untuned_kalman(experiment))
+    lower = problem.space.candidate(problem.space.box.lower)
+    structure = jax.tree.structure(lower.applied(problem.simulated.filter))
+    for one in (plain, problem.simulated.filter):
+        assert jax.tree.structure(with_idle_schedules(one, problem)) == structure
+    without_states = tuning_problem(scheduled("filter.vector_bias=off"))
+    assert with_idle_schedules(plain, without_states) is plain, "it needs another program anyway"
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("experiment", [tiny(), of_kalman()], ids=["observer", "Kalman"])
+def test_beside_a_filter_without_schedules_of_noise_it_stays_as_it_is(experiment) -> None:
+    plain = filter_of(untuned_kalman(experiment))
+    assert with_idle_schedules(plain, tuning_problem(experiment)) is plain

@@ -427,6 +427,15 @@ def test_endurance_is_shown_by_windows_and_warned_of():
     assert_states(found.text, "worse than the best constant gains", "attitude from 60 to 120 s")
 
 
+def test_endurance_that_was_not_run_is_not_shown():
+    without = result(endurance=None)
+    found = page(without)
+    assert "Long after" not in found.text
+    assert not any(caption.startswith("Errors of the tuned filter") for caption in found.tables)
+    assert "long after" not in without.summary()
+    assert "long after" in result().summary()
+
+
 def test_every_text_that_comes_from_data_is_escaped():
     evil = '<script>alert("1")</script>&amp;'
     given = evaluation((TUNED, CONSTANT))
