@@ -46,7 +46,9 @@ COMMANDS: dict[str, list[str]] = {
     "posegsa --help": ["-m", "posegsa", "--help"],
     "posegsa tune --seed x": ["-m", "posegsa", "tune", "--seed", "x"],
     "import posegsa": ["-c", "import posegsa"],
-    "tune (README's first command)": ["-m", "posegsa", "tune", "--out", "run", "--overwrite"],
+    "tune (README's first command)": [
+        *("-m", "posegsa", "tune", "--iterations", "20", "--out", "run", "--overwrite"),
+    ],
     "tune quick": ["-m", "posegsa", "tune", "quick", "--out", "quick-run", "--overwrite"],
     "tune quick --no-figures": [
         *("-m", "posegsa", "tune", "quick", "--no-figures", "--out", "bare", "--overwrite"),
