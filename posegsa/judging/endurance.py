@@ -8,10 +8,12 @@ import numpy as np
 
 from posegsa import config
 from posegsa.judging.metrics import POSITION_WORDS, error_tracks
+from posegsa.judging.untuned import with_idle_schedules
 from posegsa.search.candidates import Candidate
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import endurance_keys
+from posegsa.search.population import ScenarioBatch
 from posegsa.search.problem import TuningProblem
 from posegsa.settings.arrays import Numbers
 from posegsa.settings.fields import MAX_SAMPLES
@@ -119,7 +121,7 @@ def endurance(problem: TuningProblem, tuned: Candidate, other: Candidate) -> End
         counts = True if starts is None else time[window] > starts
         return float(np.mean(error[:, window] ** 2, where=counts))
 
-    def errors(candidate: Candidate) -> dict[str, np.ndarray]:
+    def errors(candidate: Candidate, batch: ScenarioBatch) -> dict[str, np.ndarray]:
         tracks = error_tracks(candidate, batch)
         half = np.sqrt(np.asarray(tracks.attitude, np.float64))
         each = {
@@ -134,5 +136,7 @@ def endurance(problem: TuningProblem, tuned: Candidate, other: Candidate) -> End
             for name, error in each.items()
         }
 
-    others = {f"other_{name}": error for name, error in errors(other).items()}
-    return Endurance(begin=np.array(edges[:-1]), end=np.array(edges[1:]), **errors(tuned), **others)
+    of_other = errors(other, with_idle_schedules(batch, problem))
+    others = {f"other_{name}": error for name, error in of_other.items()}
+    windows = {"begin": np.array(edges[:-1]), "end": np.array(edges[1:])}
+    return Endurance(**windows, **errors(tuned, batch), **others)

@@ -337,7 +337,7 @@ class Evaluation:
         return [
             Loss(*degrees, "deg"),
             Loss(100 * metres.mean, 100 * metres.low, 100 * metres.high, "cm"),
-            Loss(*cost, "of the cost"),
+            Loss(*cost, "points of cost"),
         ]
 
     def table(self) -> str:

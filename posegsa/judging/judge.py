@@ -179,10 +179,10 @@ def on_scenarios(
     descriptions = {judged: found, name: describe(other, experiment, evaluations)}
     _begin("unseen scenarios")
     # Training and held-out scenarios run together, so each kind of schedule compiles once.
-    tracks = {judged: error_tracks(tuned, scenarios)}
-    if other.schedule is None:
-        scenarios = scenarios._replace(filter=with_idle_schedules(scenarios.filter, problem))
-    tracks[name] = error_tracks(other, scenarios)
+    tracks = {
+        judged: error_tracks(tuned, scenarios),
+        name: error_tracks(other, with_idle_schedules(scenarios, problem)),
+    }
     training = {
         name: metrics_of(each.select(slice(count)), problem.training, problem.cost)[0].cost
         for name, each in tracks.items()
@@ -196,13 +196,14 @@ def on_scenarios(
         )
         for name, each in tracks.items()
     }
-    _begin("long after")
-    longer = experiment.run.endurance_times > 1
-    long_after = endurance(problem, tuned, other) if longer else None
+    long_after = None
+    if experiment.run.endurance_times > 1:
+        _begin("long after")
+        long_after = endurance(problem, tuned, other)
     _begin("references")
     untuned, clairvoyant = known()
     _begin("one run")
-    trajectory = trajectory_on(tuned, problem.simulated, count)  # the first held-out scenario
+    trajectory = trajectory_on(tuned, scenarios, count)  # the first held-out scenario
     _begin("trust")
     return OnScenarios(
         training=training,
@@ -238,8 +239,7 @@ def _untuned(problem: TuningProblem) -> dict[str, Contender]:
     if not always_starts(batch):
         return {}
     found = configured_filter(plain)
-    idle = batch._replace(filter=with_idle_schedules(batch.filter, problem))
-    tracks = error_tracks(candidate_of(found, plain), idle)
+    tracks = error_tracks(candidate_of(found, plain), with_idle_schedules(batch, problem))
     return {UNTUNED: contender(tracks, batch, found, problem.cost)}
 
 

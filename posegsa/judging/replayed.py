@@ -196,8 +196,8 @@ def far_off(nis: float | None) -> str:
     return (
         f"the sensors are {np.sqrt(nis):.2g} times as far from their prediction as the filter "
         f"expects (NIS {nis:.3g}, 1 if its noises are right): the start is wrong, or a sensor is "
-        "noisier than stated, or disturbed. Where it is disturbed, `posegsa tune --set "
-        "filter.belief=ramp` finds how far to believe each"
+        "noisier than stated, or disturbed. Where it is disturbed, `posegsa tune --recording FILE "
+        "--set filter.belief=ramp`, with a truth, finds how far to believe each"
     )
 
 

@@ -13,7 +13,6 @@ import jax
 import numpy as np
 
 from posegsa import config
-from posegsa.filters.base import Filter
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.noise_schedules import NoiseSignals
 from posegsa.search.population import ScenarioBatch
@@ -89,26 +88,27 @@ def with_kalman(experiment: config.Experiment, filter: config.KalmanConfig) -> c
     return experiment.replace(filter=filter, **plain, **{"parameters.also": config.KALMAN_ALSO})
 
 
-def with_idle_schedules(plain: Filter, problem: TuningProblem) -> Filter:
-    """A Kalman filter without schedules as one whose schedules change nothing.
+def with_idle_schedules(batch: ScenarioBatch, problem: TuningProblem) -> ScenarioBatch:
+    """Scenarios whose Kalman filter has no schedules, with schedules that change nothing.
 
     It computes the same, with the program that judges the filter which a problem tunes. To compile
-    a program of its own would take longer than all its runs. Any other filter is returned as it is.
+    a program of its own would take longer than all its runs. Any other filter stays as it is.
     """
-    scheduled = problem.simulated.filter
+    plain, scheduled = batch.filter, problem.simulated.filter
     if not isinstance(plain, KalmanFilter) or not isinstance(scheduled, KalmanFilter):
-        return plain
-    if scheduled.signals is None:
-        return plain
-    box = problem.space.box
-    any_schedule = problem.space.candidate(0.5 * (box.lower + box.upper)).schedule
+        return batch
+    any_schedule = problem.space.candidate(problem.space.box.lower).schedule
+    if scheduled.signals is None or any_schedule is None:  # none, or a user's own
+        return batch
     signals = NoiseSignals(
         *(each._replace(largest=np.ones_like(each.largest)) for each in scheduled.signals)
     )
     changes: dict[str, Any] = {"schedule": any_schedule, "signals": signals}
     scheduled = replace(scheduled, **changes)
     idle = replace(plain, **changes, belief_input=scheduled.belief_input)
-    return idle if jax.tree.structure(idle) == jax.tree.structure(scheduled) else plain
+    if jax.tree.structure(idle) != jax.tree.structure(scheduled):
+        return batch
+    return batch._replace(filter=idle)
 
 
 def always_starts(batch: ScenarioBatch) -> bool:

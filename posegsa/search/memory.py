@@ -68,7 +68,7 @@ def needs(
         "run.held_out_scenarios": held_out * per_scenario * size,
         "run.training_scenarios": training
         * (per_scenario * (size + 8) + samples * prepared * size),
-        "run.endurance_scenarios": run.endurance_scenarios
+        "run.endurance_scenarios": (run.endurance_scenarios if run.endurance_times > 1 else 0)
         * min(run.endurance_times * samples, MAX_SAMPLES)
         * (per_scenario // samples)
         * size,

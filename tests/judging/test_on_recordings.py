@@ -80,7 +80,7 @@ def test_sensors_far_from_their_prediction_are_told_of(nis: float | None, told: 
     one.errors["judged"] = one.errors["judged"]._replace(nis=nis)
     words = " ".join(OnRecordings(training=[], held_out=[one], baselines={}).warnings())
     assert ("2.1 times as far from their prediction" in words) == told
-    assert ("`posegsa tune --set filter.belief=ramp`" in words) == told
+    assert ("`posegsa tune --recording FILE --set filter.belief=ramp`" in words) == told
 
 
 def test_without_a_judged_recording_nothing_is_warned_of() -> None:

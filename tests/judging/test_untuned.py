@@ -81,33 +81,49 @@ def scheduled(*settings: str) -> config.Experiment:
     return of_kalman("filter.vector_walk=0.01", *roles, *settings)
 
 
-def test_idle_schedules_change_no_error() -> None:
-    problem = tuning_problem(scheduled("filter.vector_bias=off"))
-    batch = problem.held_out
-    idle = with_idle_schedules(batch.filter, problem)
-    assert isinstance(idle, KalmanFilter)
-    assert None not in idle.schedule
-    several = (batch, batch._replace(filter=idle))
-    without, found = (error_tracks(Candidate(), one, optimised=False) for one in several)
-    assert without.nees is not None
-    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(without), strict=True):
+@pytest.mark.parametrize(
+    "settings",
+    [("filter.belief=off",), ("filter.vector_bias=off",)],
+    ids=["walks of the vectors' biases", "belief"],
+)
+def test_idle_schedules_change_no_error(settings) -> None:
+    problem = tuning_problem(scheduled(*settings))
+    without = problem.held_out
+    idle = with_idle_schedules(without, problem)
+    assert isinstance(idle.filter, KalmanFilter)
+    assert idle.filter.schedule.unknown is not None
+    found, expected = (error_tracks(Candidate(), one, optimised=False) for one in (idle, without))
+    assert expected.nees is not None
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.quick
 def test_with_idle_schedules_it_shares_the_program_of_the_filter_that_is_tuned() -> None:
     experiment = scheduled()
-    problem, plain = tuning_problem(experiment), filter_of(untuned_kalman(experiment))
+    problem = tuning_problem(experiment)
+    untuned = problem.held_out._replace(filter=filter_of(untuned_kalman(experiment)))
     lower = problem.space.candidate(problem.space.box.lower)
     structure = jax.tree.structure(lower.applied(problem.simulated.filter))
-    for one in (plain, problem.simulated.filter):
-        assert jax.tree.structure(with_idle_schedules(one, problem)) == structure
+    for one in (untuned, problem.held_out):
+        assert jax.tree.structure(with_idle_schedules(one, problem).filter) == structure
     without_states = tuning_problem(scheduled("filter.vector_bias=off"))
-    assert with_idle_schedules(plain, without_states) is plain, "it needs another program anyway"
+    assert with_idle_schedules(untuned, without_states) is untuned, "that is another program anyway"
 
 
 @pytest.mark.quick
 @pytest.mark.parametrize("experiment", [tiny(), of_kalman()], ids=["observer", "Kalman"])
 def test_beside_a_filter_without_schedules_of_noise_it_stays_as_it_is(experiment) -> None:
-    plain = filter_of(untuned_kalman(experiment))
-    assert with_idle_schedules(plain, tuning_problem(experiment)) is plain
+    problem = tuning_problem(experiment)
+    untuned = problem.held_out._replace(filter=filter_of(untuned_kalman(experiment)))
+    assert with_idle_schedules(untuned, problem) is untuned
+
+
+@pytest.mark.quick
+def test_a_user_s_own_schedules_stay_in_their_filter() -> None:
+    """The space of a user's own filter has no schedules to take."""
+    made = tuning_problem(scheduled())
+    own = made.space.candidate(made.space.box.lower).applied(made.simulated.filter)
+    problem = tuning_problem(of_kalman("filter.kind=own"), own=own)
+    batch = problem.held_out
+    assert with_idle_schedules(batch, problem) is batch

@@ -179,7 +179,7 @@ def test_it_says_which_other_filters_do_better():
     assert_states(text, "The tuned filter is better than the best constant gains")
     given = changed(given, OPEN_LOOP, cost=np.linspace(9, 10.5, 40))
     found = page(result(evaluation=given))
-    assert_states(found.text, "the best open-loop gains, which errs", "1.25 of the cost less")
+    assert_states(found.text, "the best open-loop gains, which errs", "1.25 points of cost less")
     assert_states(found.text, "depends only on time")
     assert "The tuned filter is better than the best constant gains" not in found.text
     assert "posegsa export RUN --format c" in found.texts, "as code"
