@@ -39,6 +39,8 @@ class Job(NamedTuple):
     """The cost with the paper's controller beside that with fixed gains or noises, and beside that
     with the best simpler schedule, a straight line or a smooth gain. By hand, from the searches of
     `schedules.py` and `results.py`."""
+    setting: str = ""
+    """A setting of the configuration, as `--set` takes it."""
 
 
 JOBS = (
@@ -49,6 +51,12 @@ JOBS = (
     ),
     Job(
         "a start that may be wrong, by up to 180° and 10 m",
+        *("kalman", "observer", "given", "Kalman, 18 states, 10 iterations, 2 vectors, 1 landmark"),
+        "no controller",
+        "filter.iterations=10",
+    ),
+    Job(
+        "the same, at an eighth of the time",
         *("recommended", "observer", "given", "`recommended`, 2 vectors, 1 landmark"),
         "27 to 49 % less; 1 % more",
     ),
@@ -83,6 +91,8 @@ def step_in_c(name: str) -> str:
 def row(job: Job, scenarios: int, which: int) -> str:
     """A row of the table."""
     own = config.load(job.take)
+    if job.setting:
+        own = config.override(own, [job.setting])
     one = with_scenarios(own, config.load(job.scenarios), job.start)
     keys = held_out_keys(0, scenarios, which)
     batch = scenario_batch(one, keys, filter_of(one))
@@ -93,7 +103,8 @@ def row(job: Job, scenarios: int, which: int) -> str:
     return " | ".join(
         (
             f"| {job.given}",
-            f"`{job.take}`{'' if own.tuned.numbers else ', not tuned'}, {STARTS[job.start]}",
+            f"`{job.take}`{f' --set {job.setting}' if job.setting else ''}"
+            f"{'' if own.tuned.numbers else ', not tuned'}, {STARTS[job.start]}",
             f"{attitude:.2f}°, {distance:.1f} cm",
             words(metrics.cost),
             f"{np.mean(clairvoyant_costs(one, keys)):.1f}",
