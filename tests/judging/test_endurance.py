@@ -77,6 +77,16 @@ def test_it_is_as_long_as_configured_and_counts_to_the_end() -> None:
     assert once.worse() == []
 
 
+def test_it_runs_a_user_s_own_filter() -> None:
+    by_hand = constant(20).applied(tuning_problem(RUN).simulated.filter)
+    short = ["scenario.duration=0.3", "cost.transient_window=[0, 9]", "cost.steady_window=[15, 28]"]
+    experiment = config.override(config.load("kalman"), [*short, "filter.kind=own"])
+    problem = tuning_problem(experiment, own=by_hand)
+    found = endurance(problem, Candidate(), Candidate())
+    np.testing.assert_array_equal(found.attitude, found.other_attitude)
+    assert (found.attitude > 0).all()
+
+
 def test_what_precedes_a_start_from_the_sensors_does_not_count(monkeypatch) -> None:
     begins = 0.01 * jnp.array([0.0, 150.0] + [80.0] * (COUNT - 2), jnp.float32)
 

@@ -95,7 +95,7 @@ def experiment(name: str) -> config.Experiment:
         data["parameters"]["also"] = [{"key": key, **ends}]
     else:
         data["filter"] |= section
-    data["run"] |= {"training_scenarios": 1, "held_out_scenarios": 2, "endurance_times": 2}
+    data["run"] |= {"training_scenarios": 1, "held_out_scenarios": 2, "endurance_times": 1}
     data["search"] = {"optimiser": "de", "agents": 4, "iterations": 2}
     return config.from_dict(data)
 
