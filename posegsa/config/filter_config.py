@@ -183,7 +183,9 @@ class KalmanConfig(Section):
     linear_lead: Annotated[float, Field(strict=True, ge=0, le=100), Tunable()] = 0.0
     """The same for the linear velocity."""
     iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
-    """How many times the measurements of a sample are linearised, each time at the new estimate."""
+    """How many times the measurements of a sample are linearised at most, each time at the new
+    estimate, until its attitude hardly changes. With 10 a wrong start does little harm where the
+    sensors of a sample show the pose."""
     reset: Reset = "off"
     """How the covariance is carried to the coordinates of the new estimate after an update: "off"
     leaves it as it is; with "two frames" the right error of pose and biases as one group keeps its

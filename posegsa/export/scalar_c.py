@@ -236,8 +236,9 @@ class Writer:
         body = writer.code()
         self._names |= outside  # a copy that the body has kept of an input ends with it
         self._functions |= body.functions
-        if loop.conditional:
-            statements.append(f"if ({self._names[id(loop.inputs[0])]}) {{")
+        if loop.condition is not None:
+            word = "while" if loop.again else "if"
+            statements.append(f"{word} ({self._names[id(loop.inputs[loop.condition])]}) {{")
         else:
             statements.append(f"for (int {index} = 0; {index} < {loop.turns}; ++{index}) {{")
         statements += [f"    {statement}" for statement in body.statements]
@@ -346,8 +347,11 @@ def needed_inputs(results: list[Value]) -> dict[int, set[int]]:
             assert whole.operation.loop is not None
             loop = whole.operation.loop
             if id(whole) not in needed:
-                needed[id(whole)] = {0} if loop.conditional else set()
-                todo += whole.operation.of[:1] if loop.conditional else ()
+                needed[id(whole)] = set() if loop.condition is None else {loop.condition}
+                if loop.condition is not None:
+                    todo.append(whole.operation.of[loop.condition])
+                if loop.again:
+                    todo.append(loop.results[-1])
             within |= {
                 id(one): (whole, i)
                 for i, one in enumerate(loop.inputs)

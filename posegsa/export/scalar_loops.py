@@ -435,7 +435,16 @@ def _looped(given: list[str]) -> list[str]:
     return statements
 
 
-_DEFINES = ("const posegsa_real ", "const int ", "posegsa_real ", "int ", "for ", "if ", "}")
+_DEFINES = (
+    "const posegsa_real ",
+    "const int ",
+    "posegsa_real ",
+    "int ",
+    "for ",
+    "if ",
+    "while ",
+    "}",
+)
 """Begins of statements that assign to nothing that is there already."""
 
 

@@ -62,7 +62,7 @@ class Value:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A `lax.scan`, or a `lax.cond` as a loop of one turn or none.
+    """A `lax.scan`, a `lax.while_loop`, or a `lax.cond` as a loop of one turn or none.
 
     Its operation is of one operand for each input. What a scan stores, it carries: a number for
     each turn, which move on by one in each turn.
@@ -75,8 +75,14 @@ class Loop:
     """Index of the first carried input. The inputs before it are constant."""
     results: tuple[Value, ...]
     """What the body hands on to the next turn, one for each carried input."""
-    conditional: bool = False
-    """Whether its first input says whether there is a turn at all."""
+    condition: int | None = None
+    """Index of the input that says whether there is a turn; if it is carried, whether there is
+    another one. None if there are `turns` of them."""
+
+    @property
+    def again(self) -> bool:
+        """Whether its condition is asked after each turn."""
+        return self.condition is not None and self.condition >= self.first
 
     @property
     def last(self) -> int:
@@ -101,7 +107,8 @@ FUNCTIONS = {
 """Functions of `<math.h>` by their names in JAX; the C code calls them as `posegsa_NAME`."""
 _ALLOWED = (
     "arithmetic, comparisons, choices and functions of <math.h>, of scalars that are real numbers "
-    "or truths (a counter is a real number), lax.cond, and lax.scan over stacked scalars"
+    "or truths (a counter is a real number), lax.cond, lax.while_loop, and lax.scan over stacked "
+    "scalars"
 )
 """What can be written."""
 _AS_IT_IS = ("broadcast_in_dim", "convert_element_type", "copy", "reshape", "squeeze")
@@ -160,7 +167,9 @@ class _Trace:
                 made = self._loop(equation, given)
             elif name == "cond":
                 made = self._branch(equation, given)
-            elif inner is not None and name != "while":
+            elif name == "while":
+                made = self._while(equation, given)
+            elif inner is not None:
                 closed = isinstance(inner, core.ClosedJaxpr)
                 made = self.run(
                     inner.jaxpr if closed else inner,
@@ -199,11 +208,7 @@ class _Trace:
             results += [*moving[1:], value]
             last += turns
         loop = Loop(turns, tuple(inputs), first, tuple(results))
-        whole = Value(operation=Operation("loop", tuple(before), loop=loop))
-        after = [
-            Value(operation=Operation("carried", (whole,), place=place))
-            for place in range(len(results))
-        ]
+        after = _carried(loop, tuple(before))
         rows = [
             Value(operation=Operation("row", tuple(after[k : k + turns])))
             for k in range(carried, len(after), turns)
@@ -242,13 +247,34 @@ class _Trace:
         trace = _Trace(self._dtype)
         results = trace.run(then.jaxpr, inputs, trace.constants(then.consts))
         every = (Value(truth=True), *inputs, *carried)
-        loop = Loop(1, every, len(inputs) + 1, tuple(results), conditional=True)
-        of = (condition, *operands, *kept)
-        whole = Value(operation=Operation("loop", of, loop=loop))
-        return [
-            Value(operation=Operation("carried", (whole,), place=place))
-            for place in range(len(results))
-        ]
+        loop = Loop(1, every, len(inputs) + 1, tuple(results), condition=0)
+        return _carried(loop, (condition, *operands, *kept))
+
+    def _while(self, equation: core.JaxprEqn, given: list[Value]) -> list[Value]:
+        """What a `lax.while_loop` carries in the end."""
+        params, counts = equation.params, ("cond_nconsts", "body_nconsts")
+        for var in equation.invars:
+            if getattr(var.aval, "shape", ()):
+                refuse("a step with lax.while_loop over arrays", _ALLOWED)
+            _check_kind("while", var)
+        ask, body = params["cond_jaxpr"], params["body_jaxpr"]
+        first = sum(params[count] for count in counts)
+
+        def asked(trace: _Trace, values: list[Value]) -> Value:
+            given = [*values[: params["cond_nconsts"]], *values[first:]]
+            return trace.run(ask.jaxpr, given, trace.constants(ask.consts))[0]
+
+        inputs = []
+        for i, (operand, var) in enumerate(zip(given, equation.invars, strict=True)):
+            plain = i < first and operand.number is not None and not operand.named
+            inputs.append(operand if plain else Value(truth=_is_truth(var)))
+        trace = _Trace(self._dtype)
+        arguments = inputs[params["cond_nconsts"] :]
+        results = trace.run(body.jaxpr, arguments, trace.constants(body.consts))
+        condition = asked(trace, [*inputs[:first], *results])
+        every = (*inputs, Value(truth=True))
+        loop = Loop(0, every, first, (*results, condition), condition=len(inputs))
+        return _carried(loop, (*given, asked(self, given)))[:-1]
 
     def _applied(self, equation: core.JaxprEqn, given: list[Value]) -> Value:
         name, params = equation.primitive.name, equation.params
@@ -337,6 +363,15 @@ class _Trace:
 
     def _once(self, key: tuple[Any, ...], **fields: Any) -> Value:
         return self._made.setdefault(key, Value(**fields))
+
+
+def _carried(loop: Loop, of: tuple[Value, ...]) -> list[Value]:
+    """What a loop carries in the end, from its operands."""
+    whole = Value(operation=Operation("loop", of, loop=loop))
+    return [
+        Value(operation=Operation("carried", (whole,), place=place))
+        for place in range(len(loop.results))
+    ]
 
 
 def _within(value: Value, condition: Value, holds: bool) -> Value:

@@ -31,7 +31,7 @@ MIN_IMPROVEMENT = 0.01
 VARIANTS: dict[str, dict[str, Any]] = {
     EKF: {"vector_bias": "off"},
     EKF_VECTORS: {},
-    EKF_ITERATED: {"iterations": 3},
+    EKF_ITERATED: {"iterations": 10},
     EKF_GATED: {"belief": "ramp", "belief_smoothing": 0.0},
     EKF_CLOCK: {"unknown": "clock"},
 }

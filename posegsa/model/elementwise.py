@@ -46,6 +46,35 @@ def only_if(condition: Array, change: Callable[[T], T], carry: T) -> T:
     return lax.cond(condition, change, lambda unchanged: unchanged, carry)
 
 
+def as_long_as(condition: Callable[[T], Array], change: Callable[[T], T], carry: T, most: int) -> T:
+    """A carry that is changed as long as a condition of it holds, at most `most` times.
+
+    Of many each is changed as long as its own condition holds; the change is computed for all as
+    long as one holds. Exported C has a `while`.
+
+    Args:
+        condition: of a carry; () or of the batch shape.
+        change: maps a carry to the next one.
+        carry: the first one.
+        most: the largest number of changes.
+    """
+
+    def goes_on(counted: tuple[Array, T]) -> Array:
+        count, carry = counted
+        holds = condition(carry)
+        return (count < most) & (jnp.any(holds) if jnp.ndim(holds) else holds)
+
+    def changed(counted: tuple[Array, T]) -> tuple[Array, T]:
+        count, carry = counted
+        after, holds = change(carry), condition(carry)
+        if jnp.ndim(holds):
+            after = jax.tree.map(partial(choose, holds), after, carry)
+        return count + 1, after
+
+    first = jax.tree.leaves(carry)[0]
+    return lax.while_loop(goes_on, changed, (jnp.zeros((), first.dtype), carry))[1]
+
+
 def _to(x: ArrayLike, shape: tuple[int, ...], dtype: DTypeLike) -> Array:
     if np.ndim(x) == 0 and not isinstance(x, Array):
         return lax.full(shape, x, dtype)

@@ -109,7 +109,8 @@ def test_numbers_of_float32_are_written_as_short_as_they_are():
     ("function", "words"),
     [
         (lambda a: jnp.sum(jnp.stack([a, a])), "on arrays"),
-        (lambda a: jax.lax.while_loop(lambda x: x < 1, lambda x: x + 1, a), "'while'"),
+        (lambda a: jax.lax.while_loop(lambda x: x[0] < 1, jnp.sin, a + jnp.ones(2))[0], "arrays"),
+        (lambda a: jax.lax.fori_loop(0, 3, lambda k, x: x + 1, a), "on integers"),
         (lambda a: jnp.interp(a, jnp.arange(3.0), jnp.ones(3)), "allowed"),
         (lambda a: a + np.ones(2)[0] * jnp.ones(3)[0], "on arrays"),
         (lambda a: 1.0 if a > 0 else 2.0, "can't be written in C"),

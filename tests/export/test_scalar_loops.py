@@ -154,6 +154,28 @@ def branch_in_a_loop(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
     return jax.lax.scan(turn, x, jnp.stack(y))[0], y
 
 
+def as_long_as_it_holds(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
+    """Loops of some turns and of none, and one within the turns of another, whose length is told by
+    numbers that they change and by one that they do not."""
+
+    def turned(x: Scalars) -> Scalars:
+        return (*x[1:], 0.5 * x[0] + 0.1 * y[0])
+
+    def turn(counted: tuple) -> tuple:
+        count, x = counted
+        half = jax.lax.while_loop(lambda a: a * a > y[1] * y[1], lambda a: 0.5 * a, x[0])
+        return count + 1, turned((half, *x[1:]))
+
+    def long(counted: tuple) -> jax.Array:
+        count, x = counted
+        return (count < 5) & (x[0] * x[0] > 0.1 * y[2] * y[2])
+
+    count, after = jax.lax.while_loop(long, turn, (jnp.zeros_like(x[0]), x))
+    never = jax.lax.while_loop(lambda x: x[1] * x[1] < -1, turned, x)
+    truth = jax.lax.while_loop(lambda b: b, lambda b: b & (x[0] > 9), y[3] > 0)
+    return after, (jax.lax.select(truth, count, -count), *never[1:4], *y[4:])
+
+
 def only_truths(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
     """Branches and loops that carry truths alone, two of which change places."""
     above = jax.lax.cond(x[0] > y[0], lambda a, b: a > b, lambda a, b: a < -1, x[1], x[2])
@@ -167,6 +189,7 @@ def only_truths(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
 
 
 BY_HAND = [
+    as_long_as_it_holds,
     only_truths,
     changed_if,
     either,
@@ -187,7 +210,7 @@ def made_up(seed: int) -> Callable[[Scalars, Scalars], tuple[Scalars, Scalars]]:
         (rng.integers(7), rng.permutation(N).tolist(), int(rng.integers(N)), float(rng.normal()))
         for _ in range(rng.integers(2, 6))
     ]
-    looped, crossed = rng.random() < 0.6, rng.random() < 0.5
+    looped, crossed, counted = rng.random() < 0.6, rng.random() < 0.5, rng.random() < 0.5
 
     def changed(x: Scalars, y: Scalars) -> Scalars:
         for kind, order, at, factor in rounds:
@@ -217,6 +240,11 @@ def made_up(seed: int) -> Callable[[Scalars, Scalars], tuple[Scalars, Scalars]]:
     def function(x: Scalars, y: Scalars) -> tuple[Scalars, Scalars]:
         if not looped:
             after = changed(x, y)
+        elif counted:
+            begin = (jnp.zeros_like(x[0]), changed(x, y))
+            _, after = jax.lax.while_loop(
+                lambda c: (c[0] < 4) & (c[1][0] < 1), lambda c: (c[0] + 1, changed(c[1], y)), begin
+            )
         else:
             rows = [jnp.stack(y[i : i + 3]) for i in range(4)]
             after, _ = jax.lax.scan(

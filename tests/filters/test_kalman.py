@@ -158,8 +158,12 @@ COUNT = 40
         (2, 1, 2, 1, "off"),
         (1, 1, 0, 3, "off"),
         (2, 1, 2, 1, "two frames"),
+        (2, 1, 2, 10, "off"),
     ],
-    ids=["12 states, a vector", "reset, a landmark", "18 states", "iterated", "18 states, reset"],
+    ids=[
+        *("12 states, a vector", "reset, a landmark", "18 states", "iterated", "18 states, reset"),
+        "18 states, iterated until it hardly changes",
+    ],
 )
 def test_agrees_with_the_matrix_form(vectors, landmarks, learnt, iterations, reset) -> None:
     """Measurements that fit no pose, uneven steps and weights, a third of the sensors missing."""
@@ -273,6 +277,37 @@ def test_all_simulations_are_the_same_steps() -> None:
         np.testing.assert_allclose(estimates.rotation, T[:-1, :3, :3], rtol=0, atol=1e-10)
         np.testing.assert_allclose(estimates.position, T[:-1, :3, 3], rtol=0, atol=1e-10)
         np.testing.assert_allclose(estimates.bias, bias[:-1], rtol=0, atol=1e-10)
+
+
+@pytest.mark.usefixtures("x64")
+def test_updates_that_end_after_different_iterations_are_the_same_together_and_alone() -> None:
+    rng = np.random.default_rng(4)
+    m = random_measurements(rng, COUNT, 2, 1)
+    truth = random_poses(rng, 1)[0]
+    R, P = truth[:3, :3], truth[:3, 3]
+    m = m._replace(
+        vectors=m.vector_references @ R + np.zeros_like(m.vectors),
+        landmarks=(m.landmark_references - P) @ R + np.zeros_like(m.landmarks),
+    )
+    noise = noise_of(PLAIN)
+    off = [np.zeros(3), [0.01, 0.0, 0.0], [0.0, 0.6, 0.0], [2.0, -1.0, 1.0]]
+    turned = (truth @ se3_exp(np.concatenate([theta, np.zeros(3)])) for theta in off)
+    states = [started(state_of(T, learnt_vectors=2), noise) for T in turned]
+    sample = first_of(seen(m, rng))
+
+    once, several = (
+        [jax.jit(update, static_argnums=3)(one, sample, noise, most) for one in states]
+        for most in (1, 10)
+    )
+    for i, same in enumerate((True, True, False, False)):
+        attitudes = [np.asarray(found[i][0].estimate.attitude) for found in (once, several)]
+        assert np.array_equal(*attitudes) is same
+    wide = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    together = jax.jit(update, static_argnums=3)(wide, sample, noise, 10)
+    mapped = jax.jit(jax.vmap(lambda one: update(one, sample, noise, 10)))(wide)
+    for i, want in enumerate(several):
+        for got in (together, mapped):
+            leaves_close(jax.tree.map(lambda a, i=i: a[i], got), want, atol=1e-12)
 
 
 @pytest.mark.usefixtures("x64")

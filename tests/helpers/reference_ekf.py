@@ -72,6 +72,7 @@ def linearised(state: State, s: Sample, noise: Noise) -> tuple[Array, Array, Arr
 def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> tuple[State, Array]:
     """The state after all measurements of a sample, linearised repeatedly, and the correction.
 
+    The last linearisation is the first one whose correction of the attitude is at most 0.03 rad.
     Sigma is still that of the error before the last correction x: the error of the new estimate is
     J (xi - x), J = Ad of the inverse of `half_way`.
     """
@@ -98,6 +99,8 @@ def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> tuple[
             c=found.c + x[12:].reshape(-1, 3),
             Sigma=rest @ Sigma @ rest.T + K @ N @ K.T,
         )
+        if np.linalg.norm(x[:3]) <= 0.03:
+            break
     return found, x
 
 
