@@ -51,9 +51,7 @@ FILTERS: dict[str, Made] = {
     "`tune`": tuned(None),
     "`sensors.toml`": as_it_is(SENSORS),
     "`kalman`": as_it_is("kalman"),
-    "`recommended`": as_it_is("recommended"),
     "`tune kalman`": tuned("kalman"),
-    "`tune recommended`": tuned("recommended"),
     "`tune landmarks`": tuned("landmarks"),
 }
 ON_EUROC = "`tune`", "`kalman`", "`tune kalman`", "`tune landmarks`"

@@ -257,7 +257,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help=f"into {PAGE}")
     options = parser.parse_args()
     posegsa.enable_fast_path()
-    heads = ["`tune`", "as made", "as made, with leads", "`kalman`", "`recommended`"]
+    heads = ["`tune`", "as made", "as made, with leads", "`kalman`"]
     lines = [
         f"| RMSE after 5 s [deg], [cm] | {' | '.join(heads)} |",
         "| --- " + "| --: " * len(heads) + "|",
@@ -271,10 +271,7 @@ def main() -> None:
             led = made.replace(**{"filter.angular_lead": lead, "filter.linear_lead": lead})
             results = [
                 posegsa.tune(recordings=[other]),
-                *(
-                    posegsa.configured(one, recordings=[judged])
-                    for one in (made, led, "kalman", "recommended")
-                ),
+                *(posegsa.configured(one, recordings=[judged]) for one in (made, led, "kalman")),
             ]
             cells = [errors(result, judged, P, turn) for result in results]
             lines.append(f"| {name}, {i + 1} | {' | '.join(cells)} |")

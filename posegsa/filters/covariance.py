@@ -19,7 +19,6 @@ from posegsa.model.se3 import (
     Matrix3,
     Quaternion,
     Vec3,
-    add,
     cross,
     dot,
     move,
@@ -151,29 +150,6 @@ def next_vector_first(found: Found) -> Found:
     )
     correction = tuple(found.correction[i] for i in order)
     return found._replace(covariance=covariance, correction=correction)
-
-
-def moved(covariance: Covariance, correction: Sequence[Array]) -> Covariance:
-    """The covariance in the coordinates of the estimate after a correction x of it.
-
-    The error of the pose is then J (xi - x), with the right Jacobian J of SE(3) at x; here J is
-    Ad of the inverse of `_half_way`: equal up to terms of second order in x, and never singular.
-    """
-    q, P = _half_way(correction)
-    return _turned(covariance, rows(q), P)
-
-
-def _half_way(correction: Sequence[Array]) -> tuple[Quaternion, Vec3]:
-    """exp(x^ / 2) of the pose's part [theta; rho] of a correction x, up to second order.
-
-    The quaternion is [1; theta / 4], normalised: simpler than the exponential, and a rotation too.
-    """
-    tx, ty, tz, *rho = correction[:ANGULAR]
-    shift = rho[0], rho[1], rho[2]
-    x, y, z = quarter = scale(0.25, (tx, ty, tz))
-    w = 1 / jnp.sqrt(1 + dot(quarter, quarter))
-    half = scale(0.5, _limited(shift))
-    return (w, w * x, w * y, w * z), add(half, cross(quarter, half))
 
 
 def _whole_way(correction: Sequence[Array]) -> tuple[Quaternion, Vec3]:

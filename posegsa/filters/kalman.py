@@ -85,7 +85,6 @@ from posegsa.filters.covariance import (
     Reset,
     by_components,
     matrix,
-    moved,
     next_vector_first,
     transported,
 )
@@ -411,7 +410,7 @@ def update(
 ) -> tuple[KalmanState, Found]:
     """The state after a sample's vectors and landmarks; missing measurements are skipped.
 
-    The covariance is still in the coordinates before the last correction of the estimate. That
+    The covariance is still in the coordinates before the correction of the estimate. The last
     correction is returned too: `propagate` applies it with its own transport, in one product. The
     innovations are those of the last linearisation.
 
@@ -420,8 +419,8 @@ def update(
         sample: a sample with its vectors as measured (`KalmanFilter.prepare`).
         noise: `vector` and `landmark` are used.
         iterations: how often the measurements are linearised at most. From the second time on the
-            prior is moved to the coordinates of the estimate found so far, in which its mean is no
-            longer 0.
+            mean of the prior is the difference of the estimate before from that found so far. Its
+            covariance is not moved to the new coordinates: that changes no cost.
 
     Raises:
         ArgumentError: The sample holds only Wahba's sums of its vectors.
@@ -436,10 +435,8 @@ def update(
         return _corrected(estimate, found.correction), found
 
     def again(last: tuple[FilterState, Found]) -> tuple[FilterState, Found]:
-        estimate = last[0]
-        back = _difference(estimate, before)
-        prior = moved(covariance, tuple(-x for x in back))
-        return linearised(estimate, nothing._replace(covariance=prior, correction=back))
+        estimate, _ = last
+        return linearised(estimate, nothing._replace(correction=_difference(estimate, before)))
 
     def large(last: tuple[FilterState, Found]) -> Array:
         x, y, z, *_ = last[1].correction

@@ -55,7 +55,8 @@ def untuned_kalman(experiment: config.Experiment) -> config.Experiment:
     """An experiment with the untuned Kalman filter in place of its own.
 
     Its noises are those that the scenario's sensors have before a family changes them. Its pose
-    starts with wide deviations, so that the first sample gives it its covariance.
+    starts with wide deviations, so that the first sample gives it its covariance. Its update is
+    iterated as often as that of the experiment's filter: that costs it nothing, and is one program.
     """
     c, spread = experiment.scenario, bias_spread(experiment)
     root = math.sqrt(c.sampling_time)
@@ -74,7 +75,9 @@ def untuned_kalman(experiment: config.Experiment) -> config.Experiment:
     noises: dict[str, Any] = {
         name: max(value, least.get(name, SMALLEST_NOISE)) for name, value in numbers.items()
     }
-    plain = with_kalman(experiment, config.KalmanConfig(**noises))
+    own = experiment.filter
+    iterations = own.iterations if isinstance(own, config.KalmanConfig) else 1
+    plain = with_kalman(experiment, config.KalmanConfig(**noises, iterations=iterations))
     return plain.replace(**{"scenario.start": "sensors"})
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import logm
-from scipy.spatial.transform import Rotation
 
 from helpers.reference import Array, Sample, adjoint, se3_exp, skew
 
@@ -73,8 +72,7 @@ def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> tuple[
     """The state after all measurements of a sample, linearised repeatedly, and the correction.
 
     The last linearisation is the first one whose correction of the attitude is at most 0.03 rad.
-    Sigma is still that of the error before the last correction x: the error of the new estimate is
-    J (xi - x), J = Ad of the inverse of `half_way`.
+    Sigma is that of the sample in each of them: it is not moved to the coordinates of the estimate.
     """
     found, x = state, np.zeros(len(state.Sigma))
     for _ in range(iterations):
@@ -89,7 +87,7 @@ def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> tuple[
         H, measured, expected, N = linearised(found, s, noise)
         if not len(H):
             return state, x
-        Sigma = moved(state.Sigma, -back)
+        Sigma = state.Sigma
         K = Sigma @ H.T @ np.linalg.inv(H @ Sigma @ H.T + N)
         x = back + K @ (measured - expected - H @ back)
         rest = np.eye(len(Sigma)) - K @ H
@@ -102,22 +100,6 @@ def update(state: State, s: Sample, noise: Noise, iterations: int = 1) -> tuple[
         if np.linalg.norm(x[:3]) <= 0.03:
             break
     return found, x
-
-
-def moved(Sigma: Array, x: Array) -> Array:
-    """The covariance of J (xi - x)."""
-    J = np.eye(len(Sigma))
-    J[:6, :6] = np.linalg.inv(adjoint(half_way(x)))
-    return J @ Sigma @ J.T
-
-
-def half_way(x: Array) -> Array:
-    """exp(x^ / 2) up to second order (4, 4); its quaternion is [1; theta / 4], normalised."""
-    theta, rho = x[:3] / 2, x[3:6] / 2
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat([*theta / 2, 1.0]).as_matrix()
-    T[:3, 3] = (rho + np.cross(theta, rho) / 2) / np.sqrt(1 + x[3:6] @ x[3:6] / 100.0**2)
-    return T
 
 
 def se3_log(T: Array) -> Array:
