@@ -27,10 +27,10 @@ from posegsa.search.keys import held_out_keys
 
 TIMES = {"as believed": 1.0, "3 times that": 3.0, "a third of it": 1 / 3}
 """The sensors' noise as a multiple of what a filter believes."""
-KALMAN, RECOMMENDED = ("kalman", "sensors"), ("recommended", "given")
+KALMAN = ("kalman", "sensors")
 FILTERS: dict[str, tuple[str, list[tuple[str, str]]]] = {
-    "any start": ("observer", [KALMAN, RECOMMENDED, ("observer", "given")]),
-    "as in the field": ("field", [KALMAN, RECOMMENDED, ("field", "given")]),
+    "any start": ("observer", [KALMAN, ("observer", "given")]),
+    "as in the field": ("field", [KALMAN, ("field", "given")]),
     "disturbed sensors": ("disturbed", [KALMAN, ("disturbed", "sensors")]),
     "sparse sensors": ("sparse", [KALMAN, ("sparse", "sensors"), ("sparse", "given")]),
 }

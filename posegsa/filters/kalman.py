@@ -444,7 +444,7 @@ def update(
 
     if iterations == 1:
         estimate, found = linearised(before, nothing)
-    else:  # the first time too, which so has the correction before it called large
+    else:  # the first correction is a large one, so that the loop has a first turn
         begin = nothing._replace(correction=(zero + 1,) * count)
         estimate, found = as_long_as(large, again, (before, begin), iterations)
     return state._replace(estimate=estimate, covariance=found.covariance), found
