@@ -121,7 +121,7 @@ def shipped(name: str, m: Measurements) -> Any:
 
 
 def kalman(vector_biases: bool) -> KalmanFilter:
-    """A Kalman filter with plausible noises; its time does not depend on them."""
+    """A Kalman filter with plausible noises. Only with iterations its time depends on them."""
     values = (0.02, 0.02, 0.002, 0.003, 0.005, 0.1, 0.15, 1.0, 2.0, 0.1, 0.1, 0.1)
     return KalmanFilter(KalmanNoise(*map(jnp.asarray, values)), vector_biases)
 

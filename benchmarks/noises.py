@@ -15,7 +15,7 @@ import numpy as np
 from families import STARTS, parser_of, with_family, with_scenarios, words
 from flights import KINDS, SENSORS, once_settled
 from readme import write_block
-from schedules import as_configured, held_out
+from schedules import held_out
 
 import posegsa
 from posegsa import config
@@ -23,6 +23,7 @@ from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import candidate_of, configured_filter
 from posegsa.judging.on_recordings import mean_errors
 from posegsa.recordings.recording import Recording
+from posegsa.search.candidates import Candidate
 from posegsa.search.keys import held_out_keys
 
 TIMES = {"as believed": 1.0, "3 times that": 3.0, "a third of it": 1 / 3}
@@ -49,7 +50,7 @@ def on_scenarios(scenarios: int, which: int) -> list[str]:
             cells = []
             for family in families:
                 one = with_scenarios(own, family, start)
-                cells.append(words(held_out(one, tuned or as_configured(one), keys)))
+                cells.append(words(held_out(one, tuned or Candidate(), keys)))
             lines.append(f"| {kind} | `{name}`, {STARTS[start]} | {' | '.join(cells)} |")
             print(lines[-1], flush=True)
         known = [with_scenarios(config.load("kalman"), family) for family in families]

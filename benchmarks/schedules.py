@@ -29,6 +29,7 @@ from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.judging.baselines import replayed
 from posegsa.judging.clairvoyance import clairvoyant_costs
 from posegsa.judging.description import candidate_of, configured_filter
+from posegsa.judging.metrics import error_tracks, metrics_of
 from posegsa.model.schedules import RampGain
 from posegsa.optimisers import Search
 from posegsa.optimisers.search_box import to_unit
@@ -36,15 +37,12 @@ from posegsa.search.candidates import Candidate, ScheduleSpace, SimpleSpace
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
-from posegsa.search.population import costs_by_scenario
 from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.run_search import first_search, run_search
 from posegsa.search.schedule_spaces import NoiseSpaces
 from posegsa.search.search_spaces import role_space, search_space
 from posegsa.words import text_table
 
-LANES = 8
-"""Copies of one candidate that are run, as a vector register holds more than one filter."""
 SEARCHES: dict[str, dict[str, Any]] = {
     name: {"optimiser": "de", "agents": agents, "iterations": iterations, "strategy": "best/1/bin"}
     for name, agents, iterations in (("unknown", 32, 30), ("belief", 24, 22))
@@ -57,7 +55,7 @@ BELIEF_ALSO = [
 CHECK_INTERVAL, MIN_IMPROVEMENT, MAX_FACTOR = 500, 0.005, 4
 """Evaluations and share of the cost, and factor on the common number of evaluations."""
 CONTROLLER = "the paper's controller"
-TWO, NOISES_TOO = ", reset in two frames", ", noises too"
+TWO, NOISES_TOO = ", once, reset in two frames", ", noises too"
 TIED, BOTH = f"{CONTROLLER}, one for all sensors", f"{CONTROLLER}, both roles"
 CLOCK, ONCE, ITERATED = "clock, 16 knots", ", not iterated", "fixed noises, tuned, iterated"
 FIRST_BIAS = "the same, the vectors' first bias tuned"
@@ -111,7 +109,7 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
             CONTROLLER: ({"belief": "fuzzy"}, BELIEF_ALSO),
             f"{CONTROLLER}{NOISES_TOO}": ({"belief": "fuzzy"}, [*NOISES, *BELIEF_ALSO]),
         }
-    off = {"unknown": "off"}
+    off, once_reset = {"unknown": "off"}, {"iterations": 1, "reset": "two frames"}
     return {
         "the sensors' noises, not tuned": (off | FAMILY_START, None),
         FIRST_BIAS: (off, [one for one in NOISES if one["key"].endswith("initial_vector_bias")]),
@@ -120,9 +118,9 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
         CLOCK: ({"unknown": "clock"}, also),
         "straight line": ({"unknown": "ramp"}, also),
         "smooth K(e)": ({"unknown": "smooth"}, also),
-        f"fixed noises, tuned{TWO}": (off | {"reset": "two frames"}, NOISES),
-        f"straight line{TWO}": ({"unknown": "ramp", "reset": "two frames"}, also),
-        f"{CONTROLLER}{TWO}": ({"unknown": "fuzzy", "reset": "two frames"}, also),
+        f"fixed noises, tuned{TWO}": (off | once_reset, NOISES),
+        f"straight line{TWO}": ({"unknown": "ramp"} | once_reset, also),
+        f"{CONTROLLER}{TWO}": ({"unknown": "fuzzy"} | once_reset, also),
         **{
             f"{rule}{NOISES_TOO}": (off | {"belief": "ramp"} | of_rule, [*NOISES, *smoothed])
             for rule, of_rule, smoothed in (
@@ -164,18 +162,7 @@ def experiments(family: config.Experiment, seed: int) -> dict[str, tuple[config.
 def held_out(one: config.Experiment, candidate: Candidate, keys: jax.Array) -> np.ndarray:
     """Costs (S,) of a candidate on scenarios."""
     batch = scenario_batch(one, keys, filter_of(one))
-    several = jnp.ones(LANES, batch.dtype)
-
-    def lanes(leaf: Any) -> Any:
-        return several.reshape(-1, *(1,) * jnp.ndim(leaf)) * jnp.asarray(leaf)
-
-    return np.asarray(costs_by_scenario(jax.tree.map(lanes, candidate), batch))[:, 0]
-
-
-def as_configured(one: config.Experiment) -> Candidate:
-    """The filter of an experiment without a search; one number is named, as lanes copy it."""
-    assert isinstance(one.filter, config.KalmanConfig)
-    return Candidate(None, (jnp.asarray(one.filter.vector, jnp.float32),), ("filter.vector",))
+    return metrics_of(error_tracks(candidate, batch), batch)[0].cost
 
 
 @jax.tree_util.register_dataclass
@@ -322,7 +309,7 @@ def main() -> None:
             of_controller = one if name == CONTROLLER else of_controller
             simpler = found.get(name.removesuffix(NOISES_TOO), (None,))[0]
             best = search(name, one, simpler) if searched else None
-            candidate = as_configured(one) if best is None else best.candidate
+            candidate = Candidate() if best is None else best.candidate
             found[name] = best, held_out(one, candidate, keys)
             after = "" if best is None else f" after {best.evaluations} evaluations"
             print(f"  {name}: {found[name][1].mean():.2f}{after}", flush=True)
@@ -343,7 +330,7 @@ def main() -> None:
                 filter=config.load("kalman").filter,
                 parameters=one.parameters.model_copy(update={"also": ()}),
             )
-            found["not tuned, from sensors"] = None, held_out(plain, as_configured(plain), keys)
+            found["not tuned, from sensors"] = None, held_out(plain, Candidate(), keys)
         found["clairvoyant"] = None, np.asarray(clairvoyant_costs(one, keys))
         heads = ["Kalman filter", "evaluations", "training", "held out", "less controller"]
         beside = found[CONTROLLER][1]

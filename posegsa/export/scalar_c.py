@@ -3,7 +3,8 @@
 Each operation becomes a C expression. If its value is used several times, it becomes a local
 constant named after the function of the model that it comes from; if it is used once, it is written
 in place. Operations that no result needs are omitted. A `lax.scan` over stacked scalars, such as
-one over the landmarks, becomes a `for` loop, which is written once for any number of them.
+one over the landmarks, becomes a `for` loop, which is written once for any number of them, a
+`lax.while_loop` a `while` loop, and a `lax.cond` an `if`.
 """
 
 import math

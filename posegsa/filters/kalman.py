@@ -52,9 +52,8 @@ What is measured: for small initial errors and the sensors' true noise it is con
 not include its error. It shrinks with the first samples, whether or not they have improved the
 estimate, and the remaining error is corrected only as fast as the process noise allows. At 180 deg
 from the truth the vectors give no correction at all, and vector-bias states explain a wrong
-attitude by biases. From starts up to 180 deg and 10 m off, over 60 s with the paper's sensors and
-their true noise, 18 states cost (0.3 x first second + 4 to 59 s) 221 on average, 2849 at worst;
-with noises tuned for such starts 57 and 341; with up to ten linearisations, not tuned, 42 and 85.
+attitude by biases. With up to ten linearisations it converges from such starts, with nothing tuned
+(docs/recommended.md).
 """
 
 from collections.abc import Mapping, Sequence
@@ -115,9 +114,9 @@ from posegsa.model.schedules import PreparedSchedule, all_elementwise
 from posegsa.model.se3 import (
     Vec3,
     add,
-    compose,
     log,
     move,
+    product,
     rows,
     scale,
     subtract,
@@ -128,7 +127,8 @@ from posegsa.model.vectors import AS_MEASURED, VectorSample
 
 LINEAR_UP_TO = 0.03
 """An update of several iterations ends when the attitude's correction is at most so large [rad].
-What the linearisation then neglects is under 0.05 % of a vector."""
+What the linearisation then neglects is under 0.05 % of a vector, and under 1.5 % of the position's
+correction in a landmark."""
 
 
 class KalmanNoise(NamedTuple):
@@ -210,8 +210,8 @@ class KalmanFilter:
     """Which function of a sensor's residual is the input of belief (`Residual.normalised`)."""
     iterations: int = field(default=1, metadata={"static": True})
     """How often the measurements of a sample are linearised at most, each time at the estimate that
-    the last time found (an iterated extended Kalman filter), until that hardly changes any more
-    (`LINEAR_UP_TO`)."""
+    the last time found (an iterated extended Kalman filter), until its attitude hardly changes any
+    more (`LINEAR_UP_TO`)."""
     reset: Reset = field(default="off", metadata={"static": True})
     """How the covariance is carried to the coordinates of the new estimate after an update."""
     leads: Leads | None = None
@@ -410,9 +410,9 @@ def update(
 ) -> tuple[KalmanState, Found]:
     """The state after a sample's vectors and landmarks; missing measurements are skipped.
 
-    The covariance is still in the coordinates before the correction of the estimate. The last
-    correction is returned too: `propagate` applies it with its own transport, in one product. The
-    innovations are those of the last linearisation.
+    The covariance is still in the coordinates of the last linearisation, before its correction of
+    the estimate. That correction is returned too: `propagate` applies it with its own transport, in
+    one product. The innovations are those of the last linearisation.
 
     Args:
         state: the state before the update, of the batch shape.
@@ -420,7 +420,8 @@ def update(
         noise: `vector` and `landmark` are used.
         iterations: how often the measurements are linearised at most. From the second time on the
             mean of the prior is the difference of the estimate before from that found so far. Its
-            covariance is not moved to the new coordinates: that changes no cost.
+            covariance is not moved to the new coordinates: in our measurements that changes no cost
+            (docs/recommended.md). More than one has no derivative in reverse mode.
 
     Raises:
         ArgumentError: The sample holds only Wahba's sums of its vectors.
@@ -442,7 +443,7 @@ def update(
         x, y, z, *_ = last[1].correction
         return x * x + y * y + z * z > LINEAR_UP_TO * LINEAR_UP_TO
 
-    if iterations == 1:
+    if iterations <= 1:
         estimate, found = linearised(before, nothing)
     else:  # the first correction is a large one, so that the loop has a first turn
         begin = nothing._replace(correction=(zero + 1,) * count)
@@ -492,7 +493,8 @@ def propagate(
 
     Args:
         state: the state at this sample, of the batch shape.
-        correction: that its estimate has had and its covariance has not; used by a reset.
+        correction: of the last linearisation, which its estimate has had and its covariance has
+            not; used by a reset.
         sample: its velocities and its time step are used.
         noise: densities of the velocities' noise and random walks of the biases are used.
         reset: how the covariance is carried to the coordinates of the estimate; "off" leaves it.
@@ -568,10 +570,12 @@ def _corrected(estimate: FilterState, correction: tuple[Array, ...]) -> FilterSt
 
 def _difference(estimate: FilterState, other: FilterState) -> tuple[Array, ...]:
     """The errors of an estimate if another one were the truth, in the order of the states."""
-    w, x, y, z = estimate.attitude
-    R = rows(estimate.attitude)
-    turned = compose((w, -x, -y, -z), other.attitude)
-    theta, rho = log(turned, unrotate(R, subtract(other.place, estimate.place)))
+    w, x, y, z = q = estimate.attitude
+    apart = tuple(b - a for a, b in zip(q, other.attitude, strict=True))
+    # q^-1 (q + apart), so that an estimate differs from itself by exactly 0, without any rounding.
+    cosine, *sine = product((w, -x, -y, -z), apart)
+    turned = 1 + cosine, *sine
+    theta, rho = log(turned, unrotate(rows(q), subtract(other.place, estimate.place)))
     errors = theta + rho
     for name in ("bias_angular", "bias_linear"):
         errors += subtract(getattr(other, name), getattr(estimate, name))

@@ -56,7 +56,9 @@ def clairvoyant_costs(experiment: config.Experiment, keys: Array | None = None) 
         batch = ScenarioBatch(samples, **made, weights=weights, filter=filter)
         if experiment.family.duration == "off":
             batch = batch._replace(end=None)
-        transient, steady = cost_parts(error_tracks(Candidate(), batch), batch)
+        # Most evaluations have few scenarios, for which compiling takes longer than running.
+        tracks = error_tracks(Candidate(), batch, optimised=False)
+        transient, steady = cost_parts(tracks, batch)
         return transient + steady
 
     # As many at once as are judged at once, so that their samples are never all in memory.

@@ -76,6 +76,8 @@ ADVICE = {
     IMU_AS_IT_COMES: "`posegsa export imu --format c{frame}` or `posegsa replay imu FILE{frame}`",
 }
 """How to get one of the filters that are compared with a tuned one; {frame} is `frame_option`."""
+_FORMER_NAMES = {"invariant EKF, 3 iterations": EKF_ITERATED}
+"""Names in results that were stored before 0.27."""
 BAND_POINTS = 300
 """Maximum number of times at which error bands are stored over a whole run, evenly spaced."""
 EARLY, EARLY_POINTS = 1.0, 100
@@ -144,6 +146,7 @@ def own_name(found: Description) -> str:
 
 
 def _contender_name(name: str) -> str:
+    name = _FORMER_NAMES.get(name, name)
     if name not in (allowed := (*CONTENDERS, NOT_TUNED)):
         raise ValueError(f"allowed: {', '.join(allowed)}")
     return name

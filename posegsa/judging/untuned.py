@@ -55,8 +55,9 @@ def untuned_kalman(experiment: config.Experiment) -> config.Experiment:
     """An experiment with the untuned Kalman filter in place of its own.
 
     Its noises are those that the scenario's sensors have before a family changes them. Its pose
-    starts with wide deviations, so that the first sample gives it its covariance. Its update is
-    iterated as often as that of the experiment's filter: that costs it nothing, and is one program.
+    starts with wide deviations, so that the first sample gives it its covariance. It has as many
+    iterations as the experiment's filter, so that both share a compiled program; from the sensors
+    they hardly change its cost (docs/recommended.md).
     """
     c, spread = experiment.scenario, bias_spread(experiment)
     root = math.sqrt(c.sampling_time)

@@ -55,7 +55,7 @@ def as_long_as(condition: Callable[[T], Array], change: Callable[[T], T], carry:
     Args:
         condition: of a carry; () or of the batch shape.
         change: maps a carry to the next one.
-        carry: the first one.
+        carry: the first one; its first leaf is of a floating type, in which changes are counted.
         most: the largest number of changes.
     """
 

@@ -32,6 +32,7 @@ from posegsa.judging.description import Description, candidate_of, described_fil
 from posegsa.judging.evaluation import (
     CONSTANT,
     EKF,
+    EKF_ITERATED,
     EKF_VECTORS,
     OPEN_LOOP,
     SMOOTH,
@@ -378,6 +379,17 @@ def test_parts_that_do_not_fit_together_are_refused(tmp_path, monkeypatch, value
     (tmp_path / "result.json").write_text(to_json(made, SCHEMA), encoding="utf-8")
     with pytest.raises(RunFolderError, match=rf"result\.json: .*{said}"):
         posegsa.load(tmp_path)
+
+
+def test_a_contender_by_its_name_of_an_earlier_version_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("posegsa.saving.result_files.draw", lambda *_: {})
+    data = json.loads(to_json(consistent(), SCHEMA))
+    contenders = data["on_scenarios"]["evaluation"]["contenders"]
+    contenders["invariant EKF, 3 iterations"] = contenders.pop(EKF_ITERATED)
+    (tmp_path / "result.json").write_text(json.dumps(data), encoding="utf-8")
+    read = posegsa.load(tmp_path, edited=True).on_scenarios.evaluation
+    assert EKF_ITERATED in read.contenders
+    assert len(read.contenders) == len(contenders)
 
 
 @pytest.mark.parametrize("name", [SMOOTH, EKF, EKF_VECTORS])
