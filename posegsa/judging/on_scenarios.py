@@ -97,12 +97,16 @@ class OnScenarios:
     def too_sure(self) -> str:
         """That the judged filter's covariance is too small, in words; "" if it is not."""
         own = self.evaluation.own
-        inside = float(np.mean(self.evaluation.contenders[own].metrics.nees_inside))
+        inside, beside = (
+            float(np.mean(self.evaluation.contenders[name].metrics.nees_inside))
+            for name in (own, self.beside)
+        )
         if not inside < SURE_ENOUGH:  # nor without a covariance, where it is NaN
             return ""
+        other = "" if np.isnan(beside) else f" ({self.beside}: {100 * beside:.0f} %)"
         return (
             f"{called(own).capitalize()} is too sure: once settled, the true pose is inside its "
-            f"95 % bound at {100 * inside:.0f} % of the samples. Do not trust its covariance."
+            f"95 % bound at {100 * inside:.0f} % of the samples{other}. Do not trust its covariance."
         )
 
     def not_finite(self) -> str:

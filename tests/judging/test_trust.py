@@ -107,7 +107,12 @@ def test_a_covariance_that_is_too_small_is_told(inside, told) -> None:
     share = np.full(40, inside)
     given = result(evaluation=changed(evaluation(), TUNED, nees_inside=share))
     sentence = "The tuned filter is too sure: once settled, the true pose is inside its 95 % bound"
-    assert (f"{sentence} at 55 % of the samples" in given.summary()) == told
+    assert (f"{sentence} at 55 % of the samples. Do not" in given.summary()) == told
+    other = given.on_scenarios.beside
+    both = result(
+        evaluation=changed(given.on_scenarios.evaluation, other, nees_inside=0.4 + 0 * share)
+    )
+    assert (f"55 % of the samples ({other}: " in both.summary()) == told
 
 
 def test_warnings_name_what_went_wrong(sound):
