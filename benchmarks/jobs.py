@@ -54,7 +54,7 @@ JOBS = (
     Job(
         "the same, noise 0.7 to 2.5 times as assumed, a body that is moved by hand now and then",
         *("recommended", "recommended", "given", "`recommended`, 2 vectors, 1 landmark"),
-        "17 % less; 6 % more",
+        "19 to 23 % less; 0 to 1 % more",
     ),
     Job(
         "a start that may be wrong, little time or memory",

@@ -571,10 +571,11 @@ def _corrected(estimate: FilterState, correction: tuple[Array, ...]) -> FilterSt
 def _difference(estimate: FilterState, other: FilterState) -> tuple[Array, ...]:
     """The errors of an estimate if another one were the truth, in the order of the states."""
     w, x, y, z = q = estimate.attitude
-    apart = tuple(b - a for a, b in zip(q, other.attitude, strict=True))
+    other_w, other_x, other_y, other_z = other.attitude
+    apart = other_w - w, other_x - x, other_y - y, other_z - z
     # q^-1 (q + apart), so that an estimate differs from itself by exactly 0, without any rounding.
     cosine, *sine = product((w, -x, -y, -z), apart)
-    turned = 1 + cosine, *sine
+    turned = 1 + cosine, sine[0], sine[1], sine[2]
     theta, rho = log(turned, unrotate(rows(q), subtract(other.place, estimate.place)))
     errors = theta + rho
     for name in ("bias_angular", "bias_linear"):

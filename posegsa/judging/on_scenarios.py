@@ -106,7 +106,8 @@ class OnScenarios:
         other = "" if np.isnan(beside) else f" ({self.beside}: {100 * beside:.0f} %)"
         return (
             f"{called(own).capitalize()} is too sure: once settled, the true pose is inside its "
-            f"95 % bound at {100 * inside:.0f} % of the samples{other}. Do not trust its covariance."
+            f"95 % bound at {100 * inside:.0f} % of the samples{other}. Do not trust its "
+            "covariance."
         )
 
     def not_finite(self) -> str:
