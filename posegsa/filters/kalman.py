@@ -420,8 +420,8 @@ def update(
         noise: `vector` and `landmark` are used.
         iterations: how often the measurements are linearised at most. From the second time on the
             mean of the prior is the difference of the estimate before from that found so far. Its
-            covariance is not moved to the new coordinates: in our measurements that changes no cost
-            (docs/recommended.md). More than one has no derivative in reverse mode.
+            covariance is not moved to the new coordinates: in our measurements that changes costs
+            by less than 1 % (docs/recommended.md). More than one has no derivative in reverse mode.
 
     Raises:
         ArgumentError: The sample holds only Wahba's sums of its vectors.

@@ -77,7 +77,7 @@ ADVICE = {
 }
 """How to get one of the filters that are compared with a tuned one; {frame} is `frame_option`."""
 _FORMER_NAMES = {"invariant EKF, 3 iterations": EKF_ITERATED}
-"""Names in results that were stored before 0.27."""
+"""Names in results that were stored before 0.27, when that filter had 3 iterations."""
 BAND_POINTS = 300
 """Maximum number of times at which error bands are stored over a whole run, evenly spaced."""
 EARLY, EARLY_POINTS = 1.0, 100

@@ -112,7 +112,7 @@ def test_a_covariance_that_is_too_small_is_told(inside, told) -> None:
     both = result(
         evaluation=changed(given.on_scenarios.evaluation, other, nees_inside=0.4 + 0 * share)
     )
-    assert (f"55 % of the samples ({other}: " in both.summary()) == told
+    assert (f"55 % of the samples ({other}: 40 %). Do not" in both.summary()) == told
 
 
 def test_warnings_name_what_went_wrong(sound):
