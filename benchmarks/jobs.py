@@ -69,7 +69,7 @@ JOBS = (
     Job(
         "slow sensors, one landmark in sight at a time, a body that is moved",
         *("sparse", "sparse", "sensors", "`sparse`, 2 vectors, 3 landmarks"),
-        "26 to 32 % less; 2 % more to 1 % less",
+        "21 to 26 % less; 1 % more to 0 % less",
     ),
 )
 
