@@ -137,10 +137,14 @@ def _on_scenarios(result: Result, judged: OnScenarios) -> list[str]:
         rows.append([label, training, held_out, interval, worst])
     lines = text_table(rows).splitlines()
     scenarios = len(judged.training[judged.evaluation.own])
-    return lines + wrapped(
-        f"Means over {counted(scenarios, 'training scenario')} and over "
-        f"{judged.evaluation.scenarios} held-out ones, which the search did not use; the worst is "
-        "over the held-out ones."
+    return (
+        lines
+        + wrapped(
+            f"Means over {counted(scenarios, 'training scenario')} and over "
+            f"{judged.evaluation.scenarios} held-out ones, which the search did not use; the worst is "
+            "over the held-out ones."
+        )
+        + wrapped(judged.too_sure())
     )
 
 

@@ -11,13 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers.results import endurance
+from helpers.results import changed, endurance, evaluation, result
 from helpers.schedules import COUNT, DRAWN, GAPS, MIDRANGE, SAMPLED, K, evaluated, inputs, tuned
 
 import posegsa
 from posegsa import config
 from posegsa.errors import PosegsaError
 from posegsa.export import FORMATS, SCHEMA, export, export_c_gain, export_csv, export_json
+from posegsa.export.c_text import worth
 from posegsa.judging.evaluation import CONSTANT, TUNED
 from posegsa.model.fuzzy import FuzzyController
 
@@ -187,3 +188,10 @@ def test_a_c_file_has_its_own_name_in_its_example():
         assert f"{name or 'posegsa'}_step" in text
     odd = export(result, "c", file='a"; */ b.h')
     assert odd == export(result, "c"), "no name that a comment or an #include can't have"
+
+
+def test_a_file_says_that_its_filter_is_too_sure() -> None:
+    sure = changed(evaluation(), TUNED, nees_inside=np.full(40, 0.55))
+    told = "The tuned filter is too sure"
+    assert told in " ".join(worth(result(evaluation=sure)))
+    assert told not in " ".join(worth(result()))
