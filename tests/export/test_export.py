@@ -137,8 +137,8 @@ def test_a_controller_of_an_observer_with_belief_says_whose_weights_are_divided(
     oracle = dataclasses.replace(  # its error has no weights
         plain, experiment=config.override(believing, ["gain.signal=pose"])
     )
-    for result, said in ((plain, False), (with_belief, True), (oracle, False)):
-        written = re.sub(r"[\s*%#]+", " ", export(result, format))
+    for one, said in ((plain, False), (with_belief, True), (oracle, False)):
+        written = re.sub(r"[\s*%#]+", " ", export(one, format))
         assert (words in written) == said
 
 
