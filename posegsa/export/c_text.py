@@ -135,17 +135,13 @@ def _on_scenarios(result: Result, judged: OnScenarios) -> list[str]:
         training, held_out, worst = (f"{found[key]:.5g}" for key in keys)
         interval = "[{:.5g}, {:.5g}]".format(*found["held_out_interval"])
         rows.append([label, training, held_out, interval, worst])
-    lines = text_table(rows).splitlines()
     scenarios = len(judged.training[judged.evaluation.own])
-    return (
-        lines
-        + wrapped(
-            f"Means over {counted(scenarios, 'training scenario')} and over "
-            f"{judged.evaluation.scenarios} held-out ones, which the search did not use; the worst is "
-            "over the held-out ones."
-        )
-        + wrapped(judged.too_sure())
+    words = (
+        f"Means over {counted(scenarios, 'training scenario')} and over "
+        f"{judged.evaluation.scenarios} held-out ones, which the search did not use; the worst is "
+        "over the held-out ones."
     )
+    return [*text_table(rows).splitlines(), *wrapped(words), *wrapped(judged.too_sure())]
 
 
 def _warnings(result: Result) -> list[str]:
