@@ -121,7 +121,7 @@ def shipped(name: str, m: Measurements) -> Any:
 
 
 def kalman(vector_biases: bool) -> KalmanFilter:
-    """A Kalman filter with plausible noises. Only with iterations its time depends on them."""
+    """A Kalman filter with plausible noises. Its time depends on them only if it iterates."""
     values = (0.02, 0.02, 0.002, 0.003, 0.005, 0.1, 0.15, 1.0, 2.0, 0.1, 0.1, 0.1)
     return KalmanFilter(KalmanNoise(*map(jnp.asarray, values)), vector_biases)
 

@@ -2,9 +2,9 @@
 
 The recommended filter as shipped, with the numbers in its configuration; the Kalman filter of
 `kalman.toml`, not tuned, with an iterated update, and what it costs more than the recommended one;
-the observer with the numbers that it was tuned to on each family, or on any start; the Kalman
-filter of `kalman.toml`, started from the sensors and not tuned; and the clairvoyant. Prints mean
-cost (99th percentile) of each family.
+the observer as it was tuned for that family, or else for any start; the Kalman filter of
+`kalman.toml`, started from the sensors and not tuned; and the clairvoyant. Prints mean cost (99th
+percentile) of each family.
 
     python benchmarks/families.py --write   # docs/which_filter.md; twenty minutes on two cores
 """
@@ -26,8 +26,8 @@ from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import held_out_keys
 
 DRAWN = {"angular_velocity_bias": 0.1, "velocity_bias": 0.3, "vector_bias": 0.1}
-ITERATED = ("filter.iterations=10", "filter.initial_vector_bias=0.04")
-"""Settings of `kalman.toml` for a wrong start; 0.04 was the best on validation scenarios."""
+FOR_A_WRONG_START = ("filter.iterations=10", "filter.initial_vector_bias=0.04")
+"""Settings of `kalman.toml`; 0.04 was the best on validation scenarios."""
 FAMILIES: dict[str, tuple[str, dict[str, Any]]] = {
     "of `recommended`: any start, noise 0.7 to 2.5 times, body moved": ("recommended", {}),
     "the same, body not moved": ("recommended", {"jumps": "off"}),
@@ -94,7 +94,7 @@ def main() -> None:
     options = options_of("One filter on many families of scenarios.", 11, "docs/which_filter.md")
     posegsa.enable_fast_path()
     recommended, kalman = config.load("recommended"), config.load("kalman")
-    iterated = config.override(kalman, ITERATED)
+    iterated = config.override(kalman, FOR_A_WRONG_START)
     keys = held_out_keys(0, options.scenarios, options.set)
     lines = [
         "| scenarios | recommended, start given | Kalman filter, not tuned, iterated, start given "

@@ -11,7 +11,7 @@ import re
 from typing import NamedTuple
 
 import numpy as np
-from families import ITERATED, STARTS, judged, options_of, with_scenarios, words
+from families import FOR_A_WRONG_START, STARTS, judged, options_of, with_scenarios, words
 from readme import ROOT, write_block
 
 import posegsa
@@ -49,7 +49,7 @@ JOBS = (
         "a start that may be wrong, by up to 180° and 10 m",
         *("kalman", "observer", "given", "Kalman, 18 states, 10 iterations, 2 vectors, 1 landmark"),
         "no controller",
-        ITERATED,
+        FOR_A_WRONG_START,
     ),
     Job(
         "the same, noise 0.7 to 2.5 times as assumed, a body that is moved by hand now and then",

@@ -6,7 +6,7 @@ improve its training cost by less than MIN_IMPROVEMENT (or it has MAX_FACTOR tim
 Prints the table of a family: mean cost, its difference from the paper's controller with a 95 %
 interval (paired, bootstrap), median, 99th percentile, worst.
 
-    python benchmarks/schedules.py recommended     # any start, as given; five minutes on two cores
+    python benchmarks/schedules.py recommended     # bodies that are moved; over an hour on a core
     python benchmarks/schedules.py field --seeds 3
     python benchmarks/schedules.py disturbed       # belief in sensors
 """
