@@ -493,8 +493,8 @@ def propagate(
 
     Args:
         state: the state at this sample, of the batch shape.
-        correction: of the last linearisation, which its estimate has had and its covariance has
-            not; used by a reset.
+        correction: that of the last linearisation. The estimate has it already, the covariance has
+            not; a reset uses it.
         sample: its velocities and its time step are used.
         noise: densities of the velocities' noise and random walks of the biases are used.
         reset: how the covariance is carried to the coordinates of the estimate; "off" leaves it.
