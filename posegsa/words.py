@@ -12,9 +12,13 @@ def counted(number: int, noun: str, plural: str = "") -> str:
 
 
 def meant(given: str, allowed: Iterable[str]) -> str:
-    """The end of a message about an unknown name: "; did you mean NAME?", or ""."""
-    near = difflib.get_close_matches(given, list(allowed), 1)
-    return f"; did you mean {near[0]}?" if near else ""
+    """The end of a message about an unknown name: "; did you mean NAME?", or "".
+
+    The dashes before an option make no two of them similar.
+    """
+    names = {name.lstrip("-"): name for name in allowed}
+    near = difflib.get_close_matches(given.lstrip("-"), names, 1)
+    return f"; did you mean {names[near[0]]}?" if near else ""
 
 
 def text_table(rows: Iterable[Sequence[str]]) -> str:

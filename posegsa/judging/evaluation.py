@@ -303,7 +303,7 @@ class Evaluation:
 
     @np.errstate(over="ignore", invalid="ignore")  # a filter may diverge to any number
     def verdict(self) -> str:
-        """Which of the compared filters is best, in a sentence.
+        """Which of the compared filters is best, in words.
 
         The cost orders them; errors are those in the second window, in which they have settled, on
         the scenarios where they are finite.

@@ -141,7 +141,7 @@ class OnRecordings:
         )
 
     def verdict(self) -> str:
-        """Which of the compared filters is best on the held-out recordings, in a sentence.
+        """Which of the compared filters is best on the held-out recordings, in words.
 
         "" if there are none. Errors are means over the recordings; a filter is better if it errs
         less in attitude or in position, by more than EQUAL_RATIO.

@@ -1,12 +1,12 @@
-"""The sentence that ends a comparison: what is best, by how much, by chance or not, what to do."""
+"""What ends a comparison: which filter is best, by how much, by chance or not, what to do."""
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 TAKE_THIS = (
-    "take this filter, `posegsa export RUN --format c{options}` or "
-    "`posegsa replay RUN FILE{options}`"
+    "Take this filter: `posegsa export RUN --format c{options}` or "
+    "`posegsa replay RUN FILE{options}`."
 )
 """What to do if no other filter is better."""
 
@@ -23,25 +23,21 @@ class Loss(NamedTuple):
     unit: str
 
     @property
+    def known(self) -> bool:
+        """Whether it has an interval."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+    @property
     def sure(self) -> bool:
-        """Whether the interval excludes 0."""
-        return self.low > 0 or self.high < 0
+        """Whether the other filter is better and the interval excludes 0."""
+        return self.low > 0
 
-    @property
-    def size(self) -> str:
-        """How much less or more the other filter errs."""
-        return f"{abs(self.mean):.3g} {self.unit} {'less' if self.mean > 0 else 'more'}"
-
-    @property
-    def interval(self) -> str:
-        """Its ends, of the size."""
+    def words(self, label: str) -> str:
+        """How much less or more the other filter errs; `label` is put before the interval."""
+        more = f"{abs(self.mean):.3g} {self.unit} {'less' if self.mean > 0 else 'more'}"
         low, high = (self.low, self.high) if self.mean > 0 else (-self.high, -self.low)
-        return f"{low:.3g} to {high:.3g}"
-
-    def __str__(self) -> str:
-        if not (math.isfinite(self.low) and math.isfinite(self.high)):
-            return f"{self.size} (too few data for an interval)"
-        return f"{self.size} ({self.interval}, {'excludes' if self.sure else 'includes'} 0)"
+        ends = f"{label}{low:.3g} to {high:.3g}" if self.known else "too few data for an interval"
+        return f"{more} ({ends})"
 
 
 def verdict(
@@ -52,7 +48,7 @@ def verdict(
     advice: Mapping[str, str],
     options: str = "",
 ) -> str:
-    """The sentence.
+    """A few sentences.
 
     Args:
         where: What the filters were judged on, such as "what was held out".
@@ -63,46 +59,35 @@ def verdict(
         options: What the commands that take the judged filter need, such as " --frame NED".
     """
     if not better:
-        name, losses = next(iter(others.items()))
-        beside = f", beside {', '.join(list(others)[1:])}" if len(others) > 1 else ""
+        (name, losses), *rest = others.items()
         even = all(loss.mean > 0 for loss in losses)  # by too little to matter
+        also = f" Also compared: {', '.join(name for name, _ in rest)}." if rest else ""
         return (
-            f"{'As good as any' if even else 'Best'} on {where}: this filter, {own}; the next, "
-            f"{name}{beside}, errs {_listed(losses)}{_intervals(losses)}: "
-            f"{TAKE_THIS.format(options=options)}."
+            f"{'As good as any' if even else 'Best'} on {where}: this filter, {own}. The next, "
+            f"{name}, errs {_listed(losses)}.{also} {TAKE_THIS.format(options=options)}"
         )
     (first, losses), *rest = better.items()
     then = "".join(f"; then {name}, {_listed(each)}" for name, each in rest)
-    known = all(math.isfinite(loss.low) for loss in losses)
-    if known and not any(loss.sure and loss.mean > 0 for loss in losses):
-        ends = [loss.interval for loss in losses]
+    known = all(loss.known for loss in losses)
+    if known and not any(loss.sure for loss in losses):
         return (
             f"On {where} no filter is surely better than this one, {own}. {_upper(first)} errs "
-            f"{_joined([loss.size for loss in losses])} (95 % interval{'s' * (len(ends) > 1)}: "
-            f"{', '.join(ends)}){then}. Judge on more data "
-            "(`posegsa evaluate`) before you change."
+            f"{_listed(losses)}{then}. Judge on more data (`posegsa evaluate`) before you change."
         )
-    how = f", {advice[first]}" if first in advice else ""
-    todo = f"take the first{how}" if rest else f"take it{how}"
+    todo = f"Take {'the first' if rest else 'it'}"
+    todo += f": {advice[first]}." if first in advice else "."
     if not known:
-        todo = "that may be chance, so judge on more data (`posegsa evaluate`) before you change"
+        todo = "That may be chance: judge on more data (`posegsa evaluate`) before you change."
     return (
-        f"Best on {where}: {first}, which errs {_listed(losses)} than this filter, {own}{then}"
-        f"{_intervals(losses)}: {todo}."
+        f"Best on {where}: {first}, which errs {_listed(losses)} than this filter, {own}{then}. "
+        f"{todo}"
     )
 
 
-def _intervals(losses: Sequence[Loss]) -> str:
-    return ", with 95 % intervals" if any(math.isfinite(loss.low) for loss in losses) else ""
-
-
 def _listed(losses: Sequence[Loss]) -> str:
-    return _joined(list(map(str, losses)))
-
-
-def _joined(words: Sequence[str]) -> str:
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last
+    """The losses of one filter; the first interval says what it is."""
+    *words, last = (loss.words("" if k else "95 % interval ") for k, loss in enumerate(losses))
+    return f"{', '.join(words)} and {last}" if words else last
 
 
 def _upper(name: str) -> str:

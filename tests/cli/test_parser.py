@@ -12,6 +12,7 @@ pytestmark = pytest.mark.quick
     [
         (["tune", "--itertaions=3"], "posegsa tune: error: unrecognized arguments: --itertaions=3"),
         (["evaluate", "run", "--scenraios", "3"], "did you mean --scenarios?"),
+        (["tune", "--bogus"], "unrecognized arguments: --bogus\n"),
         (["tune", "quick", "another"], "posegsa tune: error: unrecognized arguments: another\n"),
         (["evaluate", "run", "other", "--scenraios", "3"], "did you mean --scenarios?"),
         (["--versoin", "configs"], "did you mean --version?"),

@@ -175,7 +175,7 @@ def test_it_says_which_other_filters_do_better():
     for name in OF_THE_OBSERVER[1:]:
         given = changed(given, name, cost=np.linspace(13, 14, 40))
     text = page(result(evaluation=given)).text
-    assert_states(text, "Best on 40 unseen scenarios: this filter", "take this filter")
+    assert_states(text, "Best on 40 unseen scenarios: this filter", "Take this filter")
     assert_states(text, "The tuned filter is better than the best constant gains")
     given = changed(given, OPEN_LOOP, cost=np.linspace(9, 10.5, 40))
     found = page(result(evaluation=given))
