@@ -21,7 +21,11 @@ from posegsa.search.keys import held_out_keys
 
 FILTERS: dict[str, tuple[str, list[str]]] = {
     "`kalman`, not tuned": ("kalman", []),
-    "the same, reset in two frames": ("kalman", ['filter.reset="two frames"']),
+    "the same, one linearisation": ("kalman", ["filter.iterations=1"]),
+    "the same, reset in two frames": (
+        "kalman",
+        ["filter.iterations=1", 'filter.reset="two frames"'],
+    ),
     "`recommended`": ("recommended", []),
 }
 """By name: the configuration and its changes."""

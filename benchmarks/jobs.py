@@ -42,7 +42,7 @@ class Job(NamedTuple):
 JOBS = (
     Job(
         "a first sample that determines the pose: two vectors and a landmark",
-        *("kalman", "observer", "sensors", "Kalman, 18 states, 2 vectors, 1 landmark"),
+        *("kalman", "observer", "sensors", "Kalman, 18 states, 10 iterations, 2 vectors, 1 landmark"),
         "no controller",
     ),
     Job(

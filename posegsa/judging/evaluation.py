@@ -64,11 +64,14 @@ NOT_TUNED = "this filter"
 ADVICE = {
     CONSTANT: "`posegsa tune CONFIG --set filter.schedule=constant`",
     SMOOTH: "`posegsa tune CONFIG --set filter.schedule=smooth`",
-    EKF: "`posegsa tune kalman --set filter.vector_bias=off`",
-    EKF_VECTORS: "`posegsa tune kalman`",
-    EKF_ITERATED: "`posegsa tune kalman --set filter.iterations=10`",
-    EKF_GATED: "`posegsa tune kalman --set filter.belief=ramp --set filter.belief_smoothing=0`",
-    EKF_CLOCK: "`posegsa tune kalman --set filter.unknown=clock`",
+    EKF: "`posegsa tune kalman --set filter.iterations=1 --set filter.vector_bias=off`",
+    EKF_VECTORS: "`posegsa tune kalman --set filter.iterations=1`",
+    EKF_ITERATED: "`posegsa tune kalman`",
+    EKF_GATED: (
+        "`posegsa tune kalman --set filter.iterations=1 --set filter.belief=ramp "
+        "--set filter.belief_smoothing=0`"
+    ),
+    EKF_CLOCK: "`posegsa tune kalman --set filter.iterations=1 --set filter.unknown=clock`",
     UNTUNED: "`posegsa export kalman`, with the noises of your sensors",
     AS_CONFIGURED: "use the configuration itself, without a search",
     NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
