@@ -39,7 +39,6 @@ from posegsa.recordings.policies import Policy
 from posegsa.recordings.readers import IN_WORDS, READERS
 from posegsa.recordings.rosbag import Stamps, Topics, is_bag, of_unit_length, read_rosbag
 from posegsa.recordings.rotations import about
-from posegsa.recordings.seen import check_something_is_seen
 from posegsa.recordings.sightings import spread_sightings, usual_intervals
 from posegsa.recordings.start import (
     ASSUMED_REST,
@@ -619,7 +618,21 @@ class Recording:
 
         Without one nothing corrects the estimate; the error says how to name their columns.
         """
-        check_something_is_seen(self.name, self.measurements, self.sensors, self.notes)
+        m = self.measurements
+        if np.shape(m.vectors)[1] or np.shape(m.landmarks)[1]:
+            return
+        told = f" ({'; '.join(self.notes)})" if self.notes else ""
+        imu = ""
+        if ACCELEROMETER in self.sensors:
+            imu = "; `posegsa replay imu` computes vectors from accelerometer and magnetometer"
+        raise RecordingError(
+            f"{self.name}: has no vectors and no landmarks, so that nothing corrects an "
+            f"estimate{told}; allowed in a CSV file: columns v0_x v0_y v0_z of a vector and "
+            "l0_x l0_y l0_z of a landmark, or others that "
+            f"{self.name}.csv.toml beside it names, in Python columns= of "
+            "Recording.from_csv; in an .npz file: vectors (N, n, 3) and vector_references, or the "
+            f"same of landmarks (docs/recordings.md){imu}"
+        )
 
     def initial(self) -> Start:
         """The initial estimate according to `start`.
