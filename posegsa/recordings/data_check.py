@@ -269,7 +269,7 @@ def check(recording: Recording) -> DataCheck:
     """
     check_type("recording", recording, Recording)
     q = quantities(recording)
-    found = [str(one) for one in mistakes(q)]
+    found = mistakes(q)
     fits = misfits(q)
     found += _stuck(q)
     found += [] if found else _far_off(fits)
