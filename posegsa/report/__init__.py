@@ -1,8 +1,8 @@
 """The report of a result: a single HTML file without network access or scripts.
 
 `page.html` is that of a result on drawn scenarios, `recordings.html` that of one on recordings
-alone; `recorded.html` and `ends.html` are in both, `parts.html` has macros for repeated parts.
-Python passes them the result and everything that a template cannot compute.
+alone; `head.html`, `recorded.html` and `ends.html` are in both, `parts.html` has macros for what
+repeats. Python passes them the result and everything that a template cannot compute.
 """
 
 from base64 import b64encode
