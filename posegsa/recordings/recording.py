@@ -47,7 +47,6 @@ from posegsa.recordings.start import (
     StartRule,
     aligned,
     checked_start,
-    with_numpy_arrays,
 )
 from posegsa.recordings.streams import Between, Stream, on_one_clock
 from posegsa.recordings.table import ACCELEROMETER, SENSORS, Columns, read_csv
@@ -238,7 +237,7 @@ class Recording:
         recording = cls(
             name=name,
             time=found.time,
-            measurements=with_numpy_arrays(values),
+            measurements=Measurements(**values),
             truth=truth,
             judged=where if truth is None else where & truth.known,
             phases={
@@ -673,9 +672,7 @@ class Recording:
             name=f"{self.name}[{begin:g}:{last}]",
             time=self.time[part] - self.time[part.start],
             first_stamp=stamp_after(self.first_stamp, float(self.time[part.start])),
-            measurements=with_numpy_arrays(
-                {name: np.asarray(a)[part] for name, a in self.measurements._asdict().items()}
-            ),
+            measurements=self.measurements.at(part),
             truth=None if self.truth is None else self.truth.each(lambda a: a[part]),
             judged=self.judged[part],
             phases={name: mask[part] for name, mask in self.phases.items()},
