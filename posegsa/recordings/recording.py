@@ -491,13 +491,7 @@ class Recording:
             MeasurementError: as in `from_arrays`.
         """
         found = read_euroc(
-            folder,
-            landmarks=landmarks,
-            landmark_noise=landmark_noise,
-            landmark_rate=landmark_rate,
-            velocity_noise=velocity_noise,
-            velocity_bias=velocity_bias,
-            seed=seed,
+            folder, landmarks, landmark_noise, landmark_rate, velocity_noise, velocity_bias, seed
         )
         return cls.from_arrays(**found | more)
 
