@@ -29,7 +29,6 @@ from posegsa.model.se3 import rotate, rows
 from posegsa.recordings.data_check import found_noises
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import as_seen, state_of
-from posegsa.recordings.start import with_numpy_arrays
 from posegsa.search import memory
 from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.drawn_scenarios import all_scenarios
@@ -362,7 +361,7 @@ def _padded(
         "position_weight": np.float64(0.0 if truth.position is None else position_weight),
     }
     return {
-        "measurements": with_numpy_arrays(m),
+        "measurements": Measurements(**m),
         "rotation": R,
         "position": P,
         "cost": RecordedCost(**cost),
