@@ -33,7 +33,7 @@ from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import FuzzyGain, GainSchedule
 from posegsa.optimisers import History
-from posegsa.recordings.frames import Frame, checked_frame
+from posegsa.recordings.frames import UP, Frame, known_frame
 from posegsa.recordings.imu import as_read_by
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import run_filter, state_of
@@ -224,12 +224,13 @@ class Result:
             frame: "ENU", "NED" or "NWU".
 
         Raises:
-            ArgumentError: The filter reads no inertial sensors.
-            RecordingError: There is no such frame.
+            ArgumentError: The filter reads no inertial sensors, or there is no such frame.
         """
         if self.filter.kind != "imu":
             refuse(f"a frame, with a filter of kind {self.filter.kind!r}", "with imu")
-        return self._with_sensors(of_frame(checked_frame(frame)))
+        if (known := known_frame(frame)) is None:
+            refuse(f"frame = {frame!r}", ", ".join(UP))
+        return self._with_sensors(of_frame(known))
 
     def _with_sensors(self, sensors: KnownSensors) -> "Result":
         judged = self.on_recordings or OnRecordings(training=[], held_out=[])

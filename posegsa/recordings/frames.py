@@ -26,12 +26,16 @@ GRAVITY = 9.81
 """Length of the specific force at rest [m/s^2]."""
 
 
+def known_frame(frame: object) -> Frame | None:
+    """The inertial frame of this name, in capitals or not; None if there is none."""
+    return next((one for one in UP if isinstance(frame, str) and frame.upper() == one), None)
+
+
 def checked_frame(frame: object) -> Frame:
     """The inertial frame of this name, in capitals or not; a RecordingError if there is none."""
-    for known in UP:
-        if isinstance(frame, str) and frame.upper() == known:
-            return known
-    raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
+    if (known := known_frame(frame)) is None:
+        raise RecordingError(f"frame = {frame!r}; allowed: {', '.join(UP)}")
+    return known
 
 
 def check_stated(frame: object, sensors: Collection[str]) -> Frame:

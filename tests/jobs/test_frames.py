@@ -10,7 +10,7 @@ from helpers.recordings import inertial_motion
 
 import posegsa
 from posegsa.cli.command import main
-from posegsa.errors import RecordingError
+from posegsa.errors import ArgumentError, RecordingError
 from posegsa.judging.evaluation import IMU_AS_IT_COMES, advice
 from posegsa.recordings.frames import UP, Frame
 from posegsa.recordings.recording import Recording
@@ -122,7 +122,7 @@ def test_what_is_no_frame_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert_states(capsys.readouterr().err, "ned.csv: frame = 'END'", "ENU, NED, NWU")
     with pytest.raises(RecordingError, match=r"frame = 'NED'.*with an accelerometer"):
         Recording.from_arrays(time_step=0.01, angular_velocity=np.zeros((9, 3)), frame="NED")
-    with pytest.raises(RecordingError, match=r"frame = 'END'.*ENU, NED, NWU"):
+    with pytest.raises(ArgumentError, match=r"frame = 'END'.*ENU, NED, NWU"):
         posegsa.configured("imu").in_frame("END")  # type: ignore[arg-type]  # wrong on purpose
 
 
