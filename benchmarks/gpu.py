@@ -21,6 +21,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from contenders.posegsa_worker import on_all_devices
 from tqdm import tqdm
 
 import posegsa
@@ -28,7 +29,6 @@ from posegsa import config
 from posegsa.model import loops
 from posegsa.search import population
 from posegsa.search.problem import tuning_problem
-from posegsa.search.run_search import on_all_devices
 from posegsa.words import text_table
 
 AGENTS = (100, 1000, 10_000, 100_000)

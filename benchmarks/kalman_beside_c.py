@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from contenders import kalman_population
-from contenders.posegsa_worker import task_of, timed, use_devices
+from contenders.posegsa_worker import on_all_devices, task_of, timed, use_devices
 from machine import machine
 from readme import write_block
 from run_tables import duration, machine_line, number
@@ -33,7 +33,6 @@ from posegsa.search.candidates import SearchSpace, without_schedule
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import training_keys
 from posegsa.search.problem import TuningProblem
-from posegsa.search.run_search import on_all_devices
 
 AGENTS = 100
 ASSUMED = {

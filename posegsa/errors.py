@@ -11,10 +11,6 @@ class ConfigError(PosegsaError, ValueError):
     """A configuration that cannot be read or is invalid; names key, value and allowed values."""
 
 
-class ScenarioError(PosegsaError, ValueError):
-    """A scenario that cannot be estimated, such as one whose pose is not observable."""
-
-
 class RunFolderError(PosegsaError, OSError):
     """A run folder that cannot be used: not writable, or with another run or no run in it."""
 

@@ -21,10 +21,9 @@ from posegsa.judging.result import Result
 from posegsa.model import limits
 from posegsa.model.estimate import FilterState, checked_state
 from posegsa.model.first_pose import first_pose
-from posegsa.model.measurements import finite_array
+from posegsa.model.measurements import Measurements, finite_array
 from posegsa.model.observability import are_collinear, why_attitude_unobservable, why_unobservable
 from posegsa.recordings.imu import references as imu_references
-from posegsa.recordings.start import with_numpy_arrays
 from posegsa.stream_inputs import FirstSamples, StreamedSensors, inertial_signal, references_of
 from posegsa.words import counted
 
@@ -458,21 +457,20 @@ class PoseFilter:
         if np.count_nonzero(of_vectors) + np.count_nonzero(of_landmarks) < 2:
             return None  # too few; and nothing is compiled for a filter without sensors
         still = np.zeros((1, 3))
-        one = with_numpy_arrays(
-            {
-                "time_step": np.ones(1),
-                "angular_velocity": still,
-                "velocity": still,
-                "vectors": vectors[None],
-                "vector_references": self._vectors.references[None],
-                "vector_weights": of_vectors[None],
-                "landmarks": landmarks[None],
-                "landmark_references": self._landmarks.references[None],
-                "landmark_weights": of_landmarks[None],
-            }
-        )
+        one = {
+            "time_step": np.ones(1),
+            "angular_velocity": still,
+            "velocity": still,
+            "vectors": vectors[None],
+            "vector_references": self._vectors.references[None],
+            "vector_weights": of_vectors[None],
+            "landmarks": landmarks[None],
+            "landmark_references": self._landmarks.references[None],
+            "landmark_weights": of_landmarks[None],
+        }
         with jax.enable_x64(self._dtype == np.float64):
-            found = _first_pose(jax.tree.map(lambda a: jnp.asarray(a, self._dtype), one))
+            fields = {name: jnp.asarray(a, self._dtype) for name, a in one.items()}
+            found = _first_pose(Measurements(**fields))
         return None if int(found.sample) else (np.array(found.rotation), np.array(found.position))
 
     def _state(

@@ -52,8 +52,9 @@ from posegsa.search.problem import TuningProblem, tuning_problem
 from posegsa.search.recorded import (
     DEGREES_PER_METRE,
     default_experiment,
+    most_sensors,
     recorded_problem,
-    with_effect_on_recordings,
+    with_effect_on,
 )
 from posegsa.search.run_search import run_search, search_batch, tell_search
 from posegsa.search.search_spaces import own_space
@@ -372,7 +373,7 @@ def _resume(
         stored = run.about.experiment
         asked = _chosen(stored if experiment is None else experiment, seed, iterations)
         if recorded is not None:
-            asked = with_effect_on_recordings(asked, recorded.training)
+            asked = with_effect_on(asked, *most_sensors(recorded.training))
         agreed = experiment_to_resume(stored, asked)
         finished = finished_result(folder, agreed, asked_for, own)
         task = _Task(agreed, recorded, own, cost)

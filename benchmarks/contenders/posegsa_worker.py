@@ -25,6 +25,7 @@ if __name__ == "__main__":
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 import posegsa
 from contenders import c, learning
@@ -35,10 +36,14 @@ from posegsa.filters.observer import Observer
 from posegsa.model.vectors import Wahba
 from posegsa.optimisers import minimise
 from posegsa.runtime import fast_path_flags
+from posegsa.search.candidates import SearchSpace
+from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.search.keys import keys
+from posegsa.search.objective import SearchObjective, packed_batch
+from posegsa.search.packing import Packed
 from posegsa.search.population import evaluate_population
 from posegsa.search.problem import TuningProblem, tuning_problem
-from posegsa.search.run_search import on_all_devices, run_search
+from posegsa.search.run_search import run_search
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
 PAPER, OBSERVER = CONFIGS / "paper.toml", CONFIGS / "observer.toml"
@@ -155,6 +160,28 @@ def scene_of(task: TuningProblem, vectors: jax.Array) -> Scene:
         inputs=plain(controller.input_terms),
         outputs=plain(controller.output_terms),
     )
+
+
+def on_all_devices(task: TuningProblem) -> Callable[[ArrayLike], jax.Array]:
+    """The costs (A,) of search vectors (A, d), divided among devices as a search divides them."""
+    e = task.experiment
+    mesh = mesh_for(e.search.agents * e.run.training_scenarios)
+    objective = SearchObjective(e.objective, None if mesh is None else AXIS, task.cost)
+    data = spread((packed_batch(task.training), task.space, packed_batch(task.beside)), mesh)
+
+    def costs(
+        vectors: jax.Array, training: Packed, space: SearchSpace, beside: Packed | None
+    ) -> jax.Array:
+        return objective(training, space, beside).costs(vectors)
+
+    compiled = jax.jit(on_each(mesh)(costs))
+
+    def call(vectors: ArrayLike) -> jax.Array:
+        # Copying from the host to all devices takes half as long as from one device to the others.
+        given = vectors if mesh is None else np.asarray(vectors)
+        return collect(compiled(spread(given, mesh), *data))
+
+    return call
 
 
 def timed(run: Callable[[], object], seconds: float, least: int = 3) -> list[float]:

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
         between = "\n" if len(found) > 1 else ""
         print(f"{between}{found[-1].text()}", flush=True)
     if options.out is not None and found:
-        from posegsa.saving.check_files import write_checks
+        from posegsa.saving.replay_files import write_checks
 
         write_checks(found, options.out)
         print(f"\nWritten to {options.out}")

@@ -51,8 +51,8 @@ def add(commands) -> None:
 
 def _names() -> str:
     """The epilogue of the help: the available optimisers and test functions."""
+    from posegsa.optimisers import OPTIMISERS
     from posegsa.optimisers.functions import FUNCTIONS
-    from posegsa.optimisers.registry import OPTIMISERS
 
     return (
         f"Optimisers (default: all): {','.join(OPTIMISERS)}. "
@@ -73,8 +73,8 @@ def _numbers(text: str) -> list[float]:
 def run(options: argparse.Namespace) -> int:
     """Compare optimisers."""
     from posegsa import comparing
+    from posegsa.optimisers import OPTIMISERS
     from posegsa.optimisers.functions import ClassicalFunction
-    from posegsa.optimisers.registry import OPTIMISERS
     from posegsa.saving.comparison_files import DATA, FIGURE, TABLE
 
     experiment = config.override(config.as_experiment(options.config), options.set)

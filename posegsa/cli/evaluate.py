@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
             raise
     # Only now, as a closed pipe ends the process.
     print(_words(options, judged))
-    print(f"\nWritten to {options.run}: {', '.join(written(judged, options.figures))}")
+    print(f"\nWritten to {options.run}: {', '.join(written(options.run))}")
     return 0
 
 

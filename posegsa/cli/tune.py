@@ -122,12 +122,12 @@ def run(options: argparse.Namespace) -> int:
             "has more."
         )
     if first:
-        folder = out or options.resume
+        folder = str(out or options.resume)
         print(("\n" if recorded else "") + result.summary())
         if show.started_any:
-            print(f"\nWritten to {folder}: {', '.join(written(result, options.figures))}")
+            print(f"\nWritten to {folder}: {', '.join(written(folder))}")
         if recorded:
-            print(f"\n{_how_to_compare(options, str(folder), experiment.filter.kind)}")
+            print(f"\n{_how_to_compare(options, folder, experiment.filter.kind)}")
     return 0
 
 

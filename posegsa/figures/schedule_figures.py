@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type
 from posegsa.config import INPUT_RANGE, TERMS
@@ -16,7 +14,7 @@ from posegsa.figures import style
 from posegsa.figures.captioned import ResultFigure, captioned
 from posegsa.figures.style import Style
 from posegsa.judging.trust import Trust
-from posegsa.model.fuzzy import FuzzyController
+from posegsa.model.fuzzy import FuzzyController, gains_over
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,7 +50,7 @@ def plot_surface(controller: FuzzyController, output: str = GAIN) -> Figure:
     check_type("controller", controller, FuzzyController)
     figure, (ax,) = style.panels(1, 4.3)
     axis = np.linspace(0.0, 1.0, _RESOLUTION) ** 2
-    gain = np.asarray(_gains(controller, axis), np.float64)
+    gain = np.asarray(gains_over(controller, axis), np.float64)
     idle = np.zeros(axis.shape, bool)
     for start, end in _gaps(controller):
         idle |= (start <= axis) & (axis <= end)
@@ -183,13 +181,6 @@ def _apart(places: np.ndarray, distance: float) -> np.ndarray:
     right = np.maximum.accumulate(places - steps) + steps
     left = np.minimum.accumulate((places - steps)[::-1])[::-1] + steps
     return 0.5 * (right + left)
-
-
-@jax.jit
-def _gains(controller: FuzzyController, axis: ArrayLike) -> Array:
-    """Gains (rate, error) [1/s]; compiled, so that a sampled centroid's samples take no memory."""
-    over_error = jax.vmap(controller, in_axes=(0, None))
-    return jax.vmap(over_error, in_axes=(None, 0))(axis, axis)
 
 
 def _gaps(controller: FuzzyController) -> list[tuple[float, float]]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from posegsa.arguments import check_type, refuse
 from posegsa.figures import style
-from posegsa.judging.sweep_runs import Spread, Sweep, Values, shown_value, spread
+from posegsa.judging.sweep_runs import Spread, Sweep, SweepRun, Values, shown_value, spread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,10 +39,10 @@ def plot_sweep(sweep: Sweep, key: str) -> Figure:
     places = values if numeric else list(range(len(values)))
     at = dict(zip(texts, places, strict=True))
     figure, axes = style.panels(2, 5.4)
-    shown = ("held_out", "Held-out"), ("training", "Training")
+    shown = ("held_out_cost", "Held-out"), ("training_cost", "Training")
     for ax, (field, label) in zip(axes, shown, strict=True):
         for i, (name, each) in enumerate(curves.items()):
-            found = [getattr(costs, field) for costs in each.values()]
+            found = [spread([getattr(run, field) for run in runs]) for runs in each.values()]
             aside = 0.0 if numeric else 0.12 * (i - 0.5 * (len(curves) - 1))
             x = np.array([at[text] for text in each], np.float64) + aside
             _draw(ax, x, found, name, i, joined=numeric)
@@ -53,30 +53,14 @@ def plot_sweep(sweep: Sweep, key: str) -> Figure:
     return figure
 
 
-class _Costs(NamedTuple):
-    """Costs of one value of the key."""
-
-    held_out: Spread
-    training: Spread
-
-
-def _curves(sweep: Sweep, key: str) -> dict[str, dict[str, _Costs]]:
-    """Costs by the settings of the other keys (in words), then by the value of this key (JSON)."""
-    named: dict[str, dict[str, list]] = {}
+def _curves(sweep: Sweep, key: str) -> dict[str, dict[str, list[SweepRun]]]:
+    """Runs by the settings of the other keys (in words), then by the value of this key (JSON)."""
+    named: dict[str, dict[str, list[SweepRun]]] = {}
     others = {_others(run.values, key) for run in sweep.runs}
     for run in sweep.runs:
         name = _others(run.values, key) if len(others) <= MOST_CURVES else "all others"
         named.setdefault(name, {}).setdefault(json.dumps(run.values[key]), []).append(run)
-    return {
-        name: {
-            value: _Costs(
-                held_out=spread([run.held_out_cost for run in runs]),
-                training=spread([run.training_cost for run in runs]),
-            )
-            for value, runs in each.items()
-        }
-        for name, each in named.items()
-    }
+    return named
 
 
 def _others(values: Values, key: str) -> str:

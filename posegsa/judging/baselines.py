@@ -6,6 +6,7 @@ tuned for each baseline too, so it has the filter, signal and weights that suit 
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -40,7 +41,7 @@ from posegsa.judging.tuned_kalman import VARIANTS, kalman_experiment, tune_kalma
 from posegsa.judging.untuned import untuned_kalman
 from posegsa.model.schedules import ConstantGain, KnotGain, ScheduleInputs
 from posegsa.optimisers import Optimiser
-from posegsa.search.candidates import Candidate
+from posegsa.search.candidates import Candidate, Schedule
 from posegsa.search.configured_filters import filter_of
 from posegsa.search.drawn_scenarios import scenario_batch
 from posegsa.search.keys import keys, training_keys
@@ -117,11 +118,12 @@ def replayed(problem: TuningProblem, tuned: Candidate) -> Candidate:
         with np.errstate(divide="ignore", invalid="ignore"):
             log_gain = np.mean(np.log(np.maximum(gain[:, kept], 1e-3)), axis=0)
     knots = KnotGain(*(jnp.asarray(a, training.dtype) for a in (time[kept], log_gain)))
+    made: Schedule = knots
     if isinstance(schedule, NoiseGains):
-        return Candidate(schedule._replace(unknown=knots), tuned.values, tuned.keys)
-    if isinstance(schedule, ObserverGains):
-        return Candidate(schedule._replace(gain=knots), tuned.values, tuned.keys)
-    return Candidate(knots, tuned.values, tuned.keys)
+        made = schedule._replace(unknown=knots)
+    elif isinstance(schedule, ObserverGains):
+        made = schedule._replace(gain=knots)
+    return replace(tuned, schedule=made)
 
 
 def _mean_output(tuned: Candidate, training: ScenarioBatch) -> np.ndarray:
@@ -144,12 +146,13 @@ def _mean_output(tuned: Candidate, training: ScenarioBatch) -> np.ndarray:
     return np.where(count > 0, total / np.maximum(count, 1), 1.0)  # 1 changes no noise
 
 
-def random_search(problem: TuningProblem) -> Candidate:
+def random_search(problem: TuningProblem) -> Description:
     """The best controller that random search finds with the run's number of evaluations."""
+    own = problem.experiment
     # An override by name: the library of the run's own optimiser may not be installed here.
-    experiment = config.override(problem.experiment, ["search.optimiser=random_search"])
-    one = problem._replace(experiment=experiment)
-    return one.space.candidate(run_search(one, tell_share).search.best_position)
+    one = problem._replace(experiment=config.override(own, ["search.optimiser=random_search"]))
+    found = run_search(one, tell_share).search.best_position
+    return describe(one.space.candidate(found), own, own.search.evaluations)
 
 
 class Baseline(NamedTuple):
@@ -181,7 +184,7 @@ def baselines(experiment: config.Experiment, tuned: Description) -> dict[str, Ba
     if isinstance(section, config.KalmanConfig) and section.unknown in ("fuzzy", "smooth", "ramp"):
         clock = experiment.replace(**{"filter.unknown": "clock", "tuned": config.TunedConfig()})
         found[REPLAYED] = Baseline(clock, partial(_replayed, tuned=tuned, of=experiment))
-    found[RANDOM] = Baseline(experiment, _random)
+    found[RANDOM] = Baseline(experiment, random_search)
     for name in VARIANTS:
         found[name] = Baseline(kalman_experiment(experiment, name), tune_kalman)
     found[UNTUNED] = Baseline(untuned_kalman(experiment), None)
@@ -202,11 +205,6 @@ def _schedule(problem: TuningProblem, kind: str) -> Description:
 
 def _replayed(problem: TuningProblem, tuned: Description, of: config.Experiment) -> Description:
     return describe(replayed(problem, candidate_of(tuned, of)), problem.experiment, 0)
-
-
-def _random(problem: TuningProblem) -> Description:
-    experiment = problem.experiment
-    return describe(random_search(problem), experiment, experiment.search.evaluations)
 
 
 def search_baselines(

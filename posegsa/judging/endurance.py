@@ -59,22 +59,15 @@ class Endurance(NamedTuple):
         heads = ["attitude", "P_err", "distance"]
         own, other = names
         rows = [["RMS error", own, "", "", other, "", ""], ["", *heads, *heads]]
-        for begin, end, *errors in self.rows():
-            both = errors[:3], errors[3:]
-            rows.append(
-                [
-                    f"{begin:g} to {end:g} s",
-                    *(
-                        cell
-                        for attitude, position, distance in both
-                        for cell in (
-                            f"{attitude:.2f} deg",
-                            f"{100 * position:.1f} cm",
-                            f"{100 * distance:.1f} cm",
-                        )
-                    ),
-                ]
-            )
+        rows += [
+            [f"{begin:g} to {end:g} s"]
+            + [
+                cell
+                for angle, *lengths in (errors[:3], errors[3:])
+                for cell in (f"{angle:.2f} deg", *(f"{100 * one:.1f} cm" for one in lengths))
+            ]
+            for begin, end, *errors in self.rows()
+        ]
         unseen = counted(scenarios, "other unseen scenario")
         title = f"In the time that it was tuned for and long after, on {unseen}:"
         return f"{title}\n\n{text_table(rows)}\n{POSITION_WORDS}"

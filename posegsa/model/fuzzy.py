@@ -371,7 +371,7 @@ class FuzzyController:
     def surface(self, resolution: int = 101) -> tuple[Array, Array, Array]:
         """Control surface: errors (r,), rates (r,) and gains (rate, error) [1/s] on [0, 1]^2."""
         axis = jnp.linspace(0.0, 1.0, resolution, dtype=self.output_terms.dtype)
-        return axis, axis, _compiled_surface(self, axis)
+        return axis, axis, gains_over(self, axis)
 
 
 @jax.jit
@@ -385,8 +385,8 @@ def _compiled_gain(
 
 
 @jax.jit
-def _compiled_surface(controller: FuzzyController, axis: Array) -> Array:
-    """Gains (rate, error), compiled once for all controllers of a structure."""
+def gains_over(controller: FuzzyController, axis: ArrayLike) -> Array:
+    """Gains (rate, error) [1/s] on an axis (r,) of both, compiled once for all of a structure."""
     # Row by row, because the sampled centroid needs all its points in memory for each input.
     return jax.lax.map(lambda rate: controller(axis, jnp.full_like(axis, rate)), axis)
 

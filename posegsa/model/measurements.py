@@ -162,7 +162,7 @@ def checked_arrays(
     landmarks: ArrayLike | None = None,
     landmark_references: ArrayLike | None = None,
     landmark_weights: ArrayLike | None = None,
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     """The fields of `Measurements`, as float64 NumPy arrays, from the arguments of `from_arrays`.
 
     Raises:

@@ -15,8 +15,6 @@ two vectors adds nothing: where it is not zero, they already span two directions
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from posegsa.errors import ScenarioError
-
 PARALLEL = 1e-6
 """Directions count as parallel up to about this angle [rad]."""
 
@@ -34,17 +32,15 @@ def why_unobservable(
     """Why the pose cannot be determined: what was found and what is needed; "" if it can.
 
     Args:
-        directions: Vectors in the inertial frame, of any length above zero, shape (n, 3).
+        directions: Vectors in the inertial frame, of any length, shape (n, 3); one of length zero
+            shows nothing.
         positions: Landmark positions in the inertial frame [m], shape (m, 3).
         direction_weights: One weight per vector, shape (n,); 0 leaves a vector out. By default
             all count.
         position_weights: The same for each landmark, shape (m,).
-
-    Raises:
-        ScenarioError: An argument has another shape, is not finite, or a direction is zero.
     """
-    vectors = _counted("directions", directions, direction_weights)
-    landmarks = _counted("positions", positions, position_weights)
+    vectors = _directions(directions, direction_weights)
+    landmarks = _counted(positions, position_weights)
     lines = _unit_lines(landmarks)
     if len(landmarks) > 0 and _span_two_directions(np.vstack([_unit(vectors), lines])):
         return ""
@@ -58,12 +54,8 @@ def why_unobservable(
 def why_attitude_unobservable(
     directions: ArrayLike, direction_weights: ArrayLike | None = None
 ) -> str:
-    """The same for the attitude alone, which two vectors determine.
-
-    Raises:
-        ScenarioError: An argument has another shape, is not finite, or a direction is zero.
-    """
-    vectors, none = _counted("directions", directions, direction_weights), np.empty((0, 3))
+    """The same for the attitude alone, which two vectors determine."""
+    vectors, none = _directions(directions, direction_weights), np.empty((0, 3))
     if _span_two_directions(_unit(vectors)):
         return ""
     found = _found(vectors, none, none).removesuffix(" and no landmarks")
@@ -75,22 +67,16 @@ def are_collinear(first: ArrayLike, second: ArrayLike) -> bool:
     return not _span_two_directions(_unit(np.array([first, second], dtype=float)))
 
 
-def _counted(name: str, rows: ArrayLike, weights: ArrayLike | None) -> NDArray[np.float64]:
-    """The rows with a weight above zero, shape (n, 3), checked: finite, and no zero directions."""
-    points = np.asarray(rows, dtype=float)
-    if points.size == 0:
-        points = points.reshape(0, 3)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ScenarioError(f"{name} has shape {points.shape}; needed is (n, 3)")
-    used = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=float)
-    if used.shape != (len(points),):
-        raise ScenarioError(f"{name} has {len(points)} rows, its weights have shape {used.shape}")
-    if not (np.isfinite(points).all() and np.isfinite(used).all()):
-        raise ScenarioError(f"{name} or their weights are not finite")
-    points = points[used > 0]
-    if name == "directions" and not np.any(points, axis=1).all():
-        raise ScenarioError("directions holds a zero vector")
-    return points
+def _directions(rows: ArrayLike, weights: ArrayLike | None) -> NDArray[np.float64]:
+    """The vectors that count, shape (n, 3): those of length zero do not."""
+    vectors = _counted(rows, weights)
+    return vectors[vectors.any(axis=1)]
+
+
+def _counted(rows: ArrayLike, weights: ArrayLike | None) -> NDArray[np.float64]:
+    """The rows with a weight above zero, shape (n, 3)."""
+    points = np.asarray(rows, dtype=float).reshape(-1, 3)
+    return points if weights is None else points[np.asarray(weights) > 0]
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from jax import Array
 
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
-from posegsa.model.se3 import Matrix3, Vec3, add, rotate, unstack
+from posegsa.model.se3 import Matrix3, Vec3, add, rotate, vec3
 from posegsa.model.vectors import VectorSamples, VectorSettings, Wahba, prepare_vectors
 
 
@@ -57,16 +57,16 @@ def prepare(measurements: Measurements, settings: VectorSettings) -> Sample:
     seen = jnp.where(factors[..., None] > 0, measurements.landmarks, 0.0)
     landmarks = tuple(
         LandmarkSample(
-            body=_vec3(seen[..., i, :]),
-            inertial=_vec3(measurements.landmark_references[..., i, :]),
+            body=vec3(seen[..., i, :]),
+            inertial=vec3(measurements.landmark_references[..., i, :]),
             factor=factors[..., i],
         )
         for i in range(factors.shape[-1])
     )
     return Sample(
         time_step=measurements.time_step,
-        angular_velocity=_vec3(measurements.angular_velocity),
-        velocity=_vec3(measurements.velocity),
+        angular_velocity=vec3(measurements.angular_velocity),
+        velocity=vec3(measurements.velocity),
         vectors=prepare_vectors(measurements, settings),
         landmarks=landmarks,
         reach=jnp.max(jnp.sum(seen * seen, axis=-1), axis=-1, initial=0.0),
@@ -76,8 +76,3 @@ def prepare(measurements: Measurements, settings: VectorSettings) -> Sample:
 def seen_from_estimate(state: FilterState, R: Matrix3, sample: Sample) -> tuple[Vec3, ...]:
     """x_i = T_est y_i, the estimated position of each landmark [m, inertial frame]."""
     return tuple(add(rotate(R, landmark.body), state.place) for landmark in sample.landmarks)
-
-
-def _vec3(a: Array) -> Vec3:
-    x, y, z = unstack(a)
-    return x, y, z

@@ -96,9 +96,17 @@ class ConstantGain(_Prepared):
 class _PreparedFuzzyGain(NamedTuple):
     controller: FuzzyController
     prepared: PreparedController
+    targets: tuple[tuple[Array, ...], ...] | None = None
 
     def __call__(self, inputs: ScheduleInputs) -> Gains:
-        heights = self.controller.heights(inputs.error, inputs.rate, self.prepared)
+        if self.targets is None:
+            heights = self.controller.heights(inputs.error, inputs.rate, self.prepared)
+        else:
+            terms = self.prepared.inputs
+            error, rate = (
+                tuple(membership(x, term) for term in terms) for x in (inputs.error, inputs.rate)
+            )
+            heights = searched_heights(error, rate, self.targets)
         return Gains(self.controller.defuzzify(heights, self.prepared, inputs.last))
 
 
@@ -122,42 +130,23 @@ class FuzzyGain:
         return _PreparedFuzzyGain(self.controller, self.controller.prepare())
 
 
-class _PreparedSearchedRules(NamedTuple):
-    controller: FuzzyController
-    prepared: PreparedController
-    targets: tuple[tuple[Array, ...], ...]
-
-    def __call__(self, inputs: ScheduleInputs) -> Gains:
-        terms = self.prepared.inputs
-        error, rate = (
-            tuple(membership(x, term) for term in terms) for x in (inputs.error, inputs.rate)
-        )
-        heights = searched_heights(error, rate, self.targets)
-        return Gains(self.controller.defuzzify(heights, self.prepared, inputs.last))
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class SearchedRulesGain:
+class SearchedRulesGain(FuzzyGain):
     """`FuzzyGain` while its rule table is searched: the table is traced instead of static.
 
-    With the same table both give the same gains, bit for bit; this one is slower.
+    The controller's own rules are ignored. With the same table both give the same gains, bit for
+    bit; this one is slower.
     """
 
-    controller: FuzzyController
-    """Everything except the rules: its own rules are ignored."""
     targets: Array
     """(5, 5) [rate, error], from small to large: the output term of each rule, 0 to 4."""
 
-    def initial_gain(self) -> Array:
-        """Mid-range of the controller's output [1/s]."""
-        return self.controller.initial_gain()
-
-    def prepare(self) -> _PreparedSearchedRules:
+    def prepare(self) -> _PreparedFuzzyGain:
         """Slopes and overlaps of the terms, and the table rule by rule."""
         n = range(self.targets.shape[-1])
         targets = tuple(tuple(self.targets[..., r, e] for e in n) for r in n)
-        return _PreparedSearchedRules(self.controller, self.controller.prepare(), targets)
+        return _PreparedFuzzyGain(self.controller, self.controller.prepare(), targets)
 
 
 @jax.tree_util.register_dataclass

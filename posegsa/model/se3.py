@@ -254,6 +254,12 @@ def unstack(a: Array) -> tuple[Array, ...]:
     return tuple(a[..., i] for i in range(a.shape[-1]))
 
 
+def vec3(a: Array) -> Vec3:
+    """Components of an array (..., 3)."""
+    x, y, z = unstack(a)
+    return x, y, z
+
+
 def stack(components: tuple[Array, ...]) -> Array:
     """Array (..., n) of n components, the inverse of `unstack`."""
     return jnp.stack(jnp.broadcast_arrays(*components), axis=-1)

@@ -14,7 +14,9 @@ weights, B is computed in each step, by components:
 with c_i the estimated bias; without normalisation there are no divisions.
 """
 
+import operator
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import NamedTuple, NoReturn
 
 import jax
@@ -34,7 +36,7 @@ from posegsa.model.se3 import (
     scale,
     subtract,
     unit,
-    unstack,
+    vec3,
 )
 
 
@@ -117,16 +119,16 @@ def prepare_vectors(measurements: Measurements, settings: VectorSettings) -> Wah
             references = normalised(references)
         each = tuple(
             VectorSample(
-                measured=_vec3(body[..., i, :]),
-                known=_vec3(inertial[..., i, :]),
-                reference=_vec3(references[..., i, :]),
+                measured=vec3(body[..., i, :]),
+                known=vec3(inertial[..., i, :]),
+                reference=vec3(references[..., i, :]),
                 factor=factors[..., i],
             )
             for i in range(count)
         )
         nothing = jnp.zeros((*factors.shape[:-1], 3), body.dtype)
         last = references[..., -1, :] if crossed else nothing
-        return VectorSamples(each, _vec3(last))
+        return VectorSamples(each, vec3(last))
     weights = factors
     if settings.weights is not None and count:
         weights = factors * jnp.broadcast_to(jnp.stack(settings.weights), factors.shape)
@@ -141,7 +143,7 @@ def prepare_vectors(measurements: Measurements, settings: VectorSettings) -> Wah
     inertial_square = jnp.sum(inertial * inertial, axis=-1)
     lengths = safe_sqrt(body_square) * safe_sqrt(inertial_square)
     return Wahba(
-        profile=(_vec3(profile[..., 0, :]), _vec3(profile[..., 1, :]), _vec3(profile[..., 2, :])),
+        profile=(vec3(profile[..., 0, :]), vec3(profile[..., 1, :]), vec3(profile[..., 2, :])),
         power=jnp.sum(weights * (body_square + inertial_square), axis=-1),
         curvature=0.5 * jnp.sum(weights * lengths, axis=-1),
         scale=0.375 * inverse_or_zero(jnp.sum(weights, axis=-1)),
@@ -176,18 +178,18 @@ def corrected(
     if settings.normalise:
         made = [unit(u) for u in made]
     columns = [
-        _sum(*(scale(s * v[j], u) for s, u, v in zip(weights, made, references, strict=True)))
+        reduce(add, [scale(s * v[j], u) for s, u, v in zip(weights, made, references, strict=True)])
         for j in range(3)
     ]
-    total = _total(*weights)
+    total = reduce(operator.add, weights)
     if settings.normalise:
         # All have length 1; missing ones have weight 0.
         power, curvature = 2 * total, 0.5 * total
     else:
         squares = [(dot(u, u), dot(v, v)) for u, v in zip(made, references, strict=True)]
         both = list(zip(weights, squares, strict=True))
-        power = _total(*(s * (u2 + v2) for s, (u2, v2) in both))
-        curvature = 0.5 * _total(*(s * safe_sqrt(u2 * v2) for s, (u2, v2) in both))
+        power = reduce(operator.add, [s * (u2 + v2) for s, (u2, v2) in both])
+        curvature = 0.5 * reduce(operator.add, [s * safe_sqrt(u2 * v2) for s, (u2, v2) in both])
     rows = tuple(zip(*columns, strict=True))
     wahba = Wahba(
         profile=(rows[0], rows[1], rows[2]),
@@ -213,20 +215,3 @@ def with_cross_vector(vectors: Array) -> Array:
 def inverse_or_zero(a: Array) -> Array:
     """1/a, and 0 where a is 0."""
     return jnp.where(a > 0, 1 / jnp.where(a > 0, a, 1.0), 0.0)
-
-
-def _sum(first: Vec3, *others: Vec3) -> Vec3:
-    for other in others:
-        first = add(first, other)
-    return first
-
-
-def _total(first: Array, *others: Array) -> Array:
-    for other in others:
-        first = first + other
-    return first
-
-
-def _vec3(a: Array) -> Vec3:
-    x, y, z = unstack(a)
-    return x, y, z

@@ -28,7 +28,13 @@ from posegsa.optimisers.particle_swarm import ParticleSwarm as ParticleSwarm
 from posegsa.optimisers.polish import Polish as Polish
 from posegsa.optimisers.polish import PolishedGSA as PolishedGSA
 from posegsa.optimisers.random_search import RandomSearch as RandomSearch
-from posegsa.optimisers.registry import OPTIMISERS as OPTIMISERS
 from posegsa.optimisers.search_box import Box as Box
 from posegsa.optimisers.search_box import box as box
 from posegsa.optimisers.search_box import from_unit as from_unit
+
+OPTIMISERS: dict[str, type[Optimiser]] = {
+    kind.model_fields["optimiser"].default: kind
+    for kind in (GSA, RandomSearch, ParticleSwarm, DifferentialEvolution, CMAES, Adam, PolishedGSA)
+}
+"""The optimisers that a configuration can name, by name, the paper's first; to add one, add its
+class."""

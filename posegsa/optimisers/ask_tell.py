@@ -36,8 +36,8 @@ class Optimiser(Section):
     A subclass adds its settings as fields, `init` and `tell`, and `ask` if its state has no
     `position`. The methods get positions in the unit box and finite costs; the loop
     (`posegsa.optimisers.loop`) ensures both. Settings are checked, frozen and hashable, so that
-    they can be static in a compiled function. Registered optimisers (`posegsa.optimisers.registry`)
-    can be named in the [search] section of a configuration, which then has their settings.
+    they can be static in a compiled function. Those in `posegsa.optimisers.OPTIMISERS` can be named
+    in the [search] section of a configuration, which then has their settings.
     """
 
     optimiser: str = "own"

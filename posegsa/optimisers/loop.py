@@ -145,9 +145,7 @@ def advance(
     for i, phase in enumerate(phases):
         if i > 0:
             begins = (search.iteration == begin) & (jnp.asarray(stop) > begin)  # in one chunk
-            states[i] = (_entered_in_python if python_objective else _entered)(
-                phase, begins, states[i], box, search.best_position
-            )
+            states[i] = _entered(phase, begins, states[i], box, search.best_position)
         end = begin + phase.iterations
         search = repeat(
             partial(_goes_on, begin, jnp.minimum(stop, end), until),
@@ -158,18 +156,10 @@ def advance(
     return search._replace(state=_joined(states))
 
 
+@partial(jax.jit, static_argnums=0, inline=True)  # one program if the loop runs in Python
 def _entered(phase: Optimiser, begins: Array, state: Any, box: Box, position: Array) -> Any:
     """The state of a phase, moved to a position in the box if the phase starts now."""
     return lax.cond(begins, phase.begin_at, lambda state, _: state, state, to_unit(box, position))
-
-
-def _entered_in_python(
-    phase: Optimiser, begins: Array, state: Any, box: Box, position: Array
-) -> Any:
-    """`_entered`, in Python."""
-    if not begins:
-        return state
-    return _compiled_entered(phase, begins, state, box, position)
 
 
 def _while(going: Callable[[Search], Array], step: Callable[[Search], Search], search: Search):
@@ -308,7 +298,6 @@ def tell(
 
 _compiled_ask = jax.jit(ask, static_argnums=(0,))
 _compiled_tell = jax.jit(tell, static_argnums=(0,))
-_compiled_entered = jax.jit(_entered, static_argnums=(0,))
 
 
 def _failure_cost(kind: FailureCost, search: Search, costs: Array) -> Array:

@@ -24,6 +24,7 @@ from posegsa.filters.rollout import Estimates
 from posegsa.model.measurements import finite_array
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import inverse, log, product, quaternions
+from posegsa.recordings.truth import all_finite
 from posegsa.settings.arrays import Numbers
 
 BLOCK, FEWEST_BLOCKS = 5.0, 4
@@ -203,8 +204,8 @@ def pose_nees(estimates: Estimates, rotation: ArrayLike, position: ArrayLike) ->
         np.asarray(a, np.float64)
         for a in (estimates.rotation, estimates.position, estimates.covariance, rotation, position)
     )
-    found = np.where(_finite(R, P), np.inf, np.nan)
-    known = _finite(R_est, P_est, sigma, R, P)
+    found = np.where(all_finite(R, P), np.inf, np.nan)
+    known = all_finite(R_est, P_est, sigma, R, P)
     known[known] = np.linalg.eigvalsh(sigma[known])[:, 0] > 0
     R_est, P_est, sigma, R, P = (each[known] for each in (R_est, P_est, sigma, R, P))
     theta = log(product(inverse(quaternions(R_est)), quaternions(R)))
@@ -217,12 +218,6 @@ def pose_nees(estimates: Estimates, rotation: ArrayLike, position: ArrayLike) ->
     xi = np.concatenate([theta, moved - 0.5 * once + c * np.cross(theta, once)], axis=1)
     found[known] = np.einsum("ki,ki->k", xi, np.linalg.solve(sigma, xi[..., None])[..., 0])
     return found
-
-
-def _finite(*arrays: np.ndarray) -> np.ndarray:
-    """Whether all numbers of arrays (K, ...) are finite, (K,)."""
-    each = [np.isfinite(a).all(axis=tuple(range(1, a.ndim))) for a in arrays]
-    return np.all(each, axis=0)
 
 
 def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErrors:
@@ -245,7 +240,7 @@ def recording_errors(estimates: Estimates, recording: Recording) -> RecordingErr
     if estimates.covariance is not None and truth.position is not None:
         nees = pose_nees(estimates, truth.rotation, truth.position)
     if estimates.nis is not None:
-        nis = np.where(_finite(np.asarray(estimates.rotation)), estimates.nis, np.inf)
+        nis = np.where(all_finite(np.asarray(estimates.rotation)), estimates.nis, np.inf)
     return RecordingErrors(
         time=recording.time,
         attitude=attitude_errors(estimates.rotation, truth.rotation),

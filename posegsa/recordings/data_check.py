@@ -269,7 +269,7 @@ def check(recording: Recording) -> DataCheck:
     """
     check_type("recording", recording, Recording)
     q = quantities(recording)
-    found = [str(one) for one in mistakes(q)]
+    found = mistakes(q)
     fits = misfits(q)
     found += _stuck(q)
     found += [] if found else _far_off(fits)
@@ -278,7 +278,9 @@ def check(recording: Recording) -> DataCheck:
     found += [] if recording.attitude_only else _lengths(q)
     sensors = _sensors(recording)
     found += [
-        f"{one.name} has no measurement" for one in sensors if not _there(recording, one.name).any()
+        f"{one.name} has no measurement"
+        for one in sensors
+        if not _measured(recording, one.name)[1].any()
     ]
     return DataCheck(
         recording=recording,
@@ -362,8 +364,8 @@ def _sensors(recording: Recording) -> list[SensorCheck]:
     named += [(f"landmark {j}", "m") for j in range(len(q.landmarks))]
     found = []
     for name, unit in named:
-        there = _there(recording, name)
-        steps, raw = np.diff(recording.time[there]), _raw(recording, name)[there]
+        raw, there = _measured(recording, name)
+        steps, raw = np.diff(recording.time[there]), raw[there]
         step, holding = float(np.median(steps)) if steps.size else math.nan, held(raw)
         off = _known(differences[name]) if name in differences else np.zeros((0, 3))
         mean = np.mean(off, axis=0) if len(off) else None
@@ -418,25 +420,18 @@ def _raw_bias(q: Quantities, vector: Vector) -> np.ndarray | None:
     return np.linalg.solve(information, left)
 
 
-def _raw(recording: Recording, name: str) -> np.ndarray:
-    """(K, 3) measurements of a sensor."""
+def _measured(recording: Recording, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Measurements (K, 3) of a sensor, and at which samples it has one (K,)."""
     kind, _, index = name.partition(" ")
     if kind in recording.sensors:
-        return recording.sensors[kind]
+        raw = recording.sensors[kind]
+        return raw, np.asarray(np.isfinite(raw).all(axis=1))
+    m = recording.measurements
     if index:
-        return np.asarray(getattr(recording.measurements, f"{kind}s"), np.float64)[:, int(index)]
-    return np.asarray(getattr(recording.measurements, name), np.float64)
-
-
-def _there(recording: Recording, name: str) -> np.ndarray:
-    """(K,) whether a sensor has a measurement at each sample."""
-    kind, _, index = name.partition(" ")
-    if kind in recording.sensors:
-        return np.asarray(np.isfinite(recording.sensors[kind]).all(axis=1))
-    if kind in ("vector", "landmark"):
-        weights = np.asarray(getattr(recording.measurements, f"{kind}_weights"))
-        return np.asarray(weights[:, int(index)] > 0)
-    return np.full(recording.samples, True)
+        values, weights = getattr(m, f"{kind}s"), getattr(m, f"{kind}_weights")
+        i = int(index)
+        return np.asarray(values, np.float64)[:, i], np.asarray(weights)[:, i] > 0
+    return np.asarray(getattr(m, name), np.float64), np.full(recording.samples, True)
 
 
 def _unobservable(recording: Recording, q: Quantities) -> str:

@@ -8,12 +8,13 @@ one shift better than the others where a body hardly moves: the shift must be th
 parts of a recording are taken (a bootstrap over BLOCKS).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from posegsa.recordings.relations import MIN_INTERVALS, Quantities
-from posegsa.recordings.rotations import inverse, product, quaternions
+from posegsa.recordings.rotations import inverse, log, product, quaternions
 
 NAMED_DELAY = 0.025
 """Delay above which a sensor is named [s]."""
@@ -68,7 +69,7 @@ class Delay(NamedTuple):
 
 def late_sensors(q: Quantities) -> list[str]:
     """The sensors that are late or early, in words; one line if all have the same delay."""
-    every = delays(q)
+    every = [one for each in predicted(q) if (one := _delay(each, q.time)) is not None]
     clear = [one for one in every if one.clear]
     if len(clear) > 2 and len(clear) == len(every):
         shifts = [one.delay for one in clear]
@@ -78,17 +79,10 @@ def late_sensors(q: Quantities) -> list[str]:
     return [str(one) for one in clear]
 
 
-def delays(q: Quantities) -> list[Delay]:
-    """The delays of all sensors that the truth predicts."""
-    found = [_delay(one, q.time) for one in predicted(q)]
-    return [one for one in found if one is not None]
-
-
 class Predicted(NamedTuple):
     """The measurements of a sensor, and their prediction from the truth."""
 
     sensor: str
-    unit: str
     measured: np.ndarray
     """(K, 3); NaN where missing."""
     expected: np.ndarray
@@ -106,23 +100,24 @@ def predicted(q: Quantities) -> list[Predicted]:
         repeated = q.repeated.get(name)
         return values if repeated is None else np.where(repeated[:, None], np.nan, values)
 
-    gyroscope = new("angular_velocity", q.gyroscope)
-    found = [Predicted("angular_velocity", "rad/s", gyroscope, _rate(q, reach))]
     R, P = q.rotation, q.position
+    attitude = quaternions(np.where(np.isfinite(R), R, np.nan))
+    rate = _slope(attitude, q.time, reach, lambda a, b: log(product(inverse(a), b)))
+    found = [Predicted("angular_velocity", new("angular_velocity", q.gyroscope), rate)]
     if q.velocity is not None and P is not None:
         moving = np.einsum("kji,kj->ki", R, _slope(P, q.time, reach))
-        found.append(Predicted("velocity", "m/s", new("velocity", q.velocity), moving))
+        found.append(Predicted("velocity", new("velocity", q.velocity), moving))
     for vector in q.vectors:
         there = np.einsum("kij,kj->ki", R, vector.body)
         reference = vector.reference
         if reference is None:
             reference = np.nanmedian(there, axis=0)
         expected = np.einsum("kji,kj->ki", R, np.broadcast_to(reference, there.shape))
-        found.append(Predicted(vector.name, "", vector.body, expected))
+        found.append(Predicted(vector.name, vector.body, expected))
     if P is not None:
         for j, (y, place) in enumerate(zip(q.landmarks, q.places, strict=True)):
             expected = np.einsum("kji,kj->ki", R, place - P)
-            found.append(Predicted(f"landmark {j}", "m", y, expected))
+            found.append(Predicted(f"landmark {j}", y, expected))
     return found
 
 
@@ -167,31 +162,20 @@ def _delay(of: Predicted, time: np.ndarray) -> Delay | None:
     return Delay(of.sensor, delay, explained, chance, correlation, astray, ends)
 
 
-def _slope(a: np.ndarray, time: np.ndarray, reach: int) -> np.ndarray:
-    """Derivative (K, 3) of a (K, 3) over `reach` samples on both sides; NaN at gaps and ends."""
-    found = np.full(a.shape, np.nan)
+def _slope(
+    a: np.ndarray,
+    time: np.ndarray,
+    reach: int,
+    change: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda a, b: b - a,
+) -> np.ndarray:
+    """Derivative (K, 3) of a (K, d) over `reach` samples on both sides; NaN at gaps and ends.
+
+    `change` maps d numbers before and after to the change, 3 numbers.
+    """
+    found = np.full((len(a), 3), np.nan)
     if len(a) > 2 * reach:
         span = time[2 * reach :] - time[: -2 * reach]
         whole = span < 3 * np.median(span)
-        inner = (a[2 * reach :] - a[: -2 * reach]) / span[:, None]
+        inner = change(a[: -2 * reach], a[2 * reach :]) / span[:, None]
         found[reach:-reach] = np.where(whole[:, None], inner, np.nan)
-    return found
-
-
-def _rate(q: Quantities, reach: int) -> np.ndarray:
-    """True angular velocity (K, 3), body frame [rad/s]; NaN where unknown."""
-    assert q.rotation is not None
-    known = np.isfinite(q.rotation).all(axis=(1, 2))
-    attitude = np.full((len(q.time), 4), np.nan)
-    attitude[known] = quaternions(q.rotation[known])
-    found = np.full((len(q.time), 3), np.nan)
-    if len(attitude) > 2 * reach:
-        turn = product(inverse(attitude[: -2 * reach]), attitude[2 * reach :])
-        turn = np.where(turn[:, :1] < 0, -turn, turn)
-        sine = np.linalg.norm(turn[:, 1:], axis=1)
-        angle = 2 * np.arctan2(sine, turn[:, 0])
-        span = q.time[2 * reach :] - q.time[: -2 * reach]
-        factor = np.where(sine > 0, angle / np.where(sine > 0, sine, 1), 2.0) / span
-        whole = (span < 3 * np.median(span))[:, None]
-        found[reach:-reach] = np.where(whole, factor[:, None] * turn[:, 1:], np.nan)
     return found

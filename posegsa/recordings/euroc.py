@@ -31,7 +31,6 @@ MAX_STAMP_DIFFERENCE = 0.1
 
 def read_euroc(
     folder: str | Path,
-    *,
     landmarks: Any,
     landmark_noise: float,
     landmark_rate: float,

@@ -459,10 +459,8 @@ def _all_to_body(q: Quantities, inertial: np.ndarray) -> np.ndarray:
 
 def _scalar_last(R: np.ndarray) -> np.ndarray:
     """Rotations whose quaternions were read as (w, x, y, z) and are (x, y, z, w)."""
-    known = np.isfinite(R).all(axis=(1, 2))
-    found = np.full(R.shape, np.nan)
-    found[known] = matrices(quaternions(R[known])[:, [3, 0, 1, 2]])
-    return found
+    known = np.where(np.isfinite(R), R, np.nan)
+    return matrices(quaternions(known)[:, [3, 0, 1, 2]])
 
 
 def _with_vector(q: Quantities, i: int, vector: Vector) -> Quantities:

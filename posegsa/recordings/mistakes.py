@@ -7,7 +7,6 @@ them by far, on the whole, is named; nothing is corrected.
 
 import math
 import re
-from typing import NamedTuple
 
 from posegsa.recordings.hypotheses import MAX_MISFIT, Hypothesis, hypotheses
 from posegsa.recordings.relations import AXES, Quantities, misfits
@@ -25,37 +24,26 @@ AS_GOOD_SHARE = 0.85
 """Share of the largest improvement above which a simpler hypothesis is preferred."""
 
 
-class Mistake(NamedTuple):
-    """A mistake that a recording seems to have."""
-
-    words: str
-    """What seems wrong, and what to do."""
-    times: float
-    """Ratio by which the misfit of the most improved relation falls."""
-
-    def __str__(self) -> str:
-        times = f"{self.times:.2g}" if self.times < 10 else f"{self.times:.0f}"
-        times = times if self.times < MAX_SHOWN_RATIO else f"over {MAX_SHOWN_RATIO:g}"
-        return f"{self.words} (fits {times} times better)"
-
-
-def mistakes(q: Quantities) -> list[Mistake]:
-    """The mistakes that quantities seem to have, the clearest first.
+def mistakes(q: Quantities) -> list[str]:
+    """The mistakes that quantities seem to have, in words, the clearest first.
 
     Once one is found, the search continues on the corrected quantities.
     """
-    found: list[Mistake] = []
+    found: list[str] = []
     for _ in range(MAX_MISTAKES):
         best = _clearest(q)
         if best is None:
             break
-        hypothesis, times = best
-        found.append(Mistake(hypothesis.words, times))
+        hypothesis, ratio = best
+        times = f"{ratio:.2g}" if ratio < 10 else f"{ratio:.0f}"
+        times = times if ratio < MAX_SHOWN_RATIO else f"over {MAX_SHOWN_RATIO:g}"
+        found.append(f"{hypothesis.words} (fits {times} times better)")
         q = hypothesis.mended(q)
     return found
 
 
 def _clearest(q: Quantities) -> tuple[Hypothesis, float] | None:
+    """The mistake, and the ratio by which the misfit of the most improved relation falls."""
     before = misfits(q)
     tried: list[tuple[float, float, float, Hypothesis]] = []
     suspicious = [name for name, misfit in before.items() if misfit > _usual(name)]

@@ -68,7 +68,7 @@ def velocity_noises(recording: Recording) -> dict[str, VelocityNoise]:
     if truth is None:
         return {}
     time, m = recording.time, recording.measurements
-    known = np.asarray(truth.known) & np.isfinite(truth.rotation).all(axis=(1, 2))
+    known = truth.known
     dt = np.diff(time)[:, None]
     usual = known[:-1] & known[1:] & (dt[:, 0] < 3 * np.median(dt))
     if usual.sum() < MIN_MEASUREMENTS:

@@ -31,42 +31,6 @@ MIN_JUMP = 0.05
 median is small, and the errors of the velocities alone would exceed it."""
 
 
-def landmark_outliers(
-    landmarks: np.ndarray,
-    seen: np.ndarray,
-    angular_velocity: np.ndarray,
-    velocity: np.ndarray,
-    time_step: np.ndarray,
-    factor: float,
-) -> np.ndarray:
-    """Which measurements of landmarks are outliers, (K, m).
-
-    Args:
-        landmarks: (K, m, 3) positions in the body frame [m].
-        seen: (K, m) whether each was measured.
-        angular_velocity: (K, 3) body frame [rad/s], from each sample to the next.
-        velocity: (K, 3) body frame [m/s], from each sample to the next.
-        time_step: (K,) to the next sample [s].
-        factor: the limit, in median steps.
-    """
-    outliers = np.zeros(seen.shape, bool)
-    if not seen.any():
-        return outliers
-    R = strapdown(angular_velocity, time_step)
-    middle = np.concatenate([0.5 * (R[1:] + R[:-1]), R[-1:]])
-    moved = np.einsum("kij,kj->ki", middle, velocity) * time_step[:, None]
-    P = np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)[:-1]])
-    time = np.concatenate([[0.0], np.cumsum(time_step)[:-1]])
-    for i, there in enumerate(seen.T):
-        at = np.flatnonzero(there)
-        if at.size > 1:
-            y = landmarks[at, i]
-            place = np.einsum("kij,kj->ki", R[at], y) + P[at]
-            distance = np.linalg.norm(y, axis=1)
-            outliers[at, i] = _jumps(place, distance, time[at], factor)
-    return outliers
-
-
 def without_outliers(
     values: dict[str, np.ndarray], time: np.ndarray, factor: float | Literal["off"]
 ) -> list[str]:
@@ -85,31 +49,32 @@ def without_outliers(
         raise RecordingError(
             f'landmark_outlier = {factor!r}; allowed: a number from 1 on, or "off"'
         )
-    if isinstance(factor, str):
+    seen, time_step = values["landmark_weights"] > 0, values["time_step"]
+    if isinstance(factor, str) or not seen.any():
         return []
-    outliers = landmark_outliers(
-        values["landmarks"],
-        values["landmark_weights"] > 0,
-        values["angular_velocity"],
-        values["velocity"],
-        values["time_step"],
-        factor,
-    )
+    R = strapdown(values["angular_velocity"], time_step)
+    middle = np.concatenate([0.5 * (R[1:] + R[:-1]), R[-1:]])
+    moved = np.einsum("kij,kj->ki", middle, values["velocity"]) * time_step[:, None]
+    P = np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)[:-1]])
+    elapsed = np.concatenate([[0.0], np.cumsum(time_step)[:-1]])
+    outliers = np.zeros(seen.shape, bool)
+    for i, there in enumerate(seen.T):
+        at = np.flatnonzero(there)
+        if at.size > 1:
+            y = values["landmarks"][at, i]
+            place = np.einsum("kij,kj->ki", R[at], y) + P[at]
+            distance = np.linalg.norm(y, axis=1)
+            outliers[at, i] = _jumps(place, distance, elapsed[at], factor)
     if not outliers.any():
         return []
     values["landmark_weights"] = np.where(outliers, 0.0, values["landmark_weights"])
-    return [outliers_in_words(outliers, time, factor)]
-
-
-def outliers_in_words(outliers: np.ndarray, time: np.ndarray, factor: float) -> str:
-    """How many measurements (K, m) at times (K,) were left out, and why, in words."""
-    count = int(outliers.sum())
     first = float(time[np.argmax(outliers.any(axis=1))])
     each = ", ".join(f"{n} of landmark {i}" for i, n in enumerate(outliers.sum(axis=0)) if n)
-    return (
-        f"{counted(count, 'sighting')} ignored: more than {factor:g} times the usual distance "
-        f"from the position that the velocities predict; {each}, the first at {first:.6g} s"
-    )
+    return [
+        f"{counted(int(outliers.sum()), 'sighting')} ignored: more than {factor:g} times the usual "
+        f"distance from the position that the velocities predict; {each}, the first at {first:.6g} "
+        "s"
+    ]
 
 
 def _jumps(place: np.ndarray, distance: np.ndarray, time: np.ndarray, factor: float) -> np.ndarray:

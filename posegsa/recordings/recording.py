@@ -39,7 +39,6 @@ from posegsa.recordings.policies import Policy
 from posegsa.recordings.readers import IN_WORDS, READERS
 from posegsa.recordings.rosbag import Stamps, Topics, is_bag, of_unit_length, read_rosbag
 from posegsa.recordings.rotations import about
-from posegsa.recordings.seen import check_something_is_seen
 from posegsa.recordings.sightings import spread_sightings, usual_intervals
 from posegsa.recordings.start import (
     ASSUMED_REST,
@@ -48,7 +47,6 @@ from posegsa.recordings.start import (
     StartRule,
     aligned,
     checked_start,
-    with_numpy_arrays,
 )
 from posegsa.recordings.streams import Between, Stream, on_one_clock
 from posegsa.recordings.table import ACCELEROMETER, SENSORS, Columns, read_csv
@@ -239,7 +237,7 @@ class Recording:
         recording = cls(
             name=name,
             time=found.time,
-            measurements=with_numpy_arrays(values),
+            measurements=Measurements(**values),
             truth=truth,
             judged=where if truth is None else where & truth.known,
             phases={
@@ -493,13 +491,7 @@ class Recording:
             MeasurementError: as in `from_arrays`.
         """
         found = read_euroc(
-            folder,
-            landmarks=landmarks,
-            landmark_noise=landmark_noise,
-            landmark_rate=landmark_rate,
-            velocity_noise=velocity_noise,
-            velocity_bias=velocity_bias,
-            seed=seed,
+            folder, landmarks, landmark_noise, landmark_rate, velocity_noise, velocity_bias, seed
         )
         return cls.from_arrays(**found | more)
 
@@ -619,7 +611,21 @@ class Recording:
 
         Without one nothing corrects the estimate; the error says how to name their columns.
         """
-        check_something_is_seen(self.name, self.measurements, self.sensors, self.notes)
+        m = self.measurements
+        if np.shape(m.vectors)[1] or np.shape(m.landmarks)[1]:
+            return
+        told = f" ({'; '.join(self.notes)})" if self.notes else ""
+        imu = ""
+        if ACCELEROMETER in self.sensors:
+            imu = "; `posegsa replay imu` computes vectors from accelerometer and magnetometer"
+        raise RecordingError(
+            f"{self.name}: has no vectors and no landmarks, so that nothing corrects an "
+            f"estimate{told}; allowed in a CSV file: columns v0_x v0_y v0_z of a vector and "
+            "l0_x l0_y l0_z of a landmark, or others that "
+            f"{self.name}.csv.toml beside it names, in Python columns= of "
+            "Recording.from_csv; in an .npz file: vectors (N, n, 3) and vector_references, or the "
+            f"same of landmarks (docs/recordings.md){imu}"
+        )
 
     def initial(self) -> Start:
         """The initial estimate according to `start`.
@@ -660,9 +666,7 @@ class Recording:
             name=f"{self.name}[{begin:g}:{last}]",
             time=self.time[part] - self.time[part.start],
             first_stamp=stamp_after(self.first_stamp, float(self.time[part.start])),
-            measurements=with_numpy_arrays(
-                {name: np.asarray(a)[part] for name, a in self.measurements._asdict().items()}
-            ),
+            measurements=self.measurements.at(part),
             truth=None if self.truth is None else self.truth.each(lambda a: a[part]),
             judged=self.judged[part],
             phases={name: mask[part] for name, mask in self.phases.items()},

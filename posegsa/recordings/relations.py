@@ -38,6 +38,7 @@ from posegsa.recordings.held import held
 from posegsa.recordings.inertial_frame import turned
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.rotations import inverse, log, matrices, product, quaternions
+from posegsa.recordings.truth import all_finite
 
 INTERVAL_TIME = 0.5
 """Length of an interval [s]."""
@@ -269,11 +270,6 @@ def _intervals(q: Quantities, there: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return (first, last) if len(first) >= MIN_INTERVALS else None
 
 
-def _finite(*arrays: np.ndarray) -> np.ndarray:
-    """(K,) where all of some arrays (K, ...) are finite."""
-    return np.all([np.isfinite(a).reshape(len(a), -1).all(axis=1) for a in arrays], axis=0)
-
-
 def _median_length(a: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(a, axis=-1)))
 
@@ -315,7 +311,7 @@ def _computed_change(q: Quantities, there: np.ndarray) -> Change | None:
 
 def _turn_and_truth(q: Quantities) -> float | None:
     assert q.rotation is not None
-    change = _change(q, _finite(q.rotation))
+    change = _change(q, all_finite(q.rotation))
     if change is None:
         return None
     before, after = quaternions(q.rotation[change.first]), quaternions(q.rotation[change.last])
@@ -331,7 +327,7 @@ def _velocity_and_truth(q: Quantities) -> float | None:
     assert q.rotation is not None
     assert q.position is not None
     assert q.velocity is not None
-    found = _intervals(q, _finite(q.rotation, q.position))
+    found = _intervals(q, all_finite(q.rotation, q.position))
     if found is None:
         return None
     first, last = found
@@ -349,7 +345,7 @@ def _velocity_and_truth(q: Quantities) -> float | None:
 
 def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
     assert q.rotation is not None
-    there = _finite(q.rotation, vector.body)
+    there = all_finite(q.rotation, vector.body)
     if there.sum() < MIN_INTERVALS:
         return None
     b = vector.body[there]
@@ -368,7 +364,7 @@ def _vector_and_truth(q: Quantities, vector: Vector) -> float | None:
     if (force := true_force(q, vector)) is None:
         return found
     off = force.body - force.pulled - np.einsum("kji,kj->ki", q.rotation, known)
-    return min(found, _median_length(off[_finite(off)]) / max(_median_length(known), 1e-12))
+    return min(found, _median_length(off[all_finite(off)]) / max(_median_length(known), 1e-12))
 
 
 def _is_calmed(q: Quantities, vector: Vector) -> bool:
@@ -386,7 +382,7 @@ def _north_and_truth(q: Quantities, vector: Vector) -> float | None:
     assert q.rotation is not None
     if q.frame is None:
         return None
-    there = _finite(q.rotation, vector.body)
+    there = all_finite(q.rotation, vector.body)
     if there.sum() < MIN_INTERVALS:
         return None
     seen = np.mean(np.einsum("kij,kj->ki", q.rotation[there], vector.body[there]), axis=0)
@@ -408,7 +404,7 @@ def _axis_and_truth(q: Quantities, vector: Vector, k: int) -> float | None:
     up, found = np.einsum("kji,kj->ki", q.rotation, known)[:, k], []
     for expected in (up, up + force.pulled[:, k]):
         pair = np.stack([force.body[:, k] - expected, expected], axis=1)
-        pair = pair[_finite(force.body, pair)]
+        pair = pair[all_finite(force.body, pair)]
         off, change = np.median(np.abs(pair - np.median(pair, axis=0)), axis=0)
         if change > MIN_FORCE_CHANGE * _median_length(known):
             found.append(float(off / change))
@@ -453,7 +449,7 @@ def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Fo
     n = max(2, round(FORCE_MEAN_TIME / step))
     if count < 2 * n + MIN_INTERVALS:
         return None
-    there = _finite(R, vector.body)
+    there = all_finite(R, vector.body)
     force = np.einsum("kij,kj->ki", R[there], vector.body[there])
     weighed = np.zeros((count, 4))
     weighed[there] = np.concatenate([force, np.ones((len(force), 1))], axis=1)
@@ -471,7 +467,7 @@ def _force(time: np.ndarray, vector: Vector, R: np.ndarray, P: np.ndarray) -> Fo
         (weighed[:, :3] / np.maximum(weighed[:, 3:], MIN_MEASURED_SHARE), scale * second)
     ):
         both[k, n:-n][whole] = np.einsum("kji,kj->ki", back, a[whole])
-    return Force(*both) if _finite(*both).sum() >= MIN_INTERVALS else None
+    return Force(*both) if all_finite(*both).sum() >= MIN_INTERVALS else None
 
 
 def given(a: np.ndarray | None) -> np.ndarray:
@@ -487,12 +483,12 @@ def _means(a: np.ndarray, length: int) -> np.ndarray:
 
 
 def _length(q: Quantities, vector: Vector) -> float | None:
-    if _finite(vector.body).sum() < MIN_INTERVALS:
+    if all_finite(vector.body).sum() < MIN_INTERVALS:
         return None
     known = max(_median_length(given(vector.reference)), 1e-12)
-    sizes = [_median_length(one.body[_finite(one.body)]) for one in _meanings(q, vector)]
+    sizes = [_median_length(one.body[all_finite(one.body)]) for one in _meanings(q, vector)]
     if _is_calmed(q, vector):
-        there = _finite(given(q.rotation), vector.body)
+        there = all_finite(given(q.rotation), vector.body)
         seen = np.einsum("kij,kj->ki", given(q.rotation)[there], vector.body[there])
         sizes += (
             [_median_length(_means(seen, AVERAGED_FORCES))] if there.sum() >= MIN_INTERVALS else []
@@ -506,7 +502,7 @@ def _vector_and_turn(q: Quantities, vector: Vector) -> float | None:
 
 
 def _direction_and_turn(q: Quantities, body: np.ndarray) -> float | None:
-    change = _change(q, _finite(body))
+    change = _change(q, all_finite(body))
     if change is None or change.angle < MIN_TURN:
         return None
     before, after = body[change.first], body[change.last]
@@ -518,7 +514,7 @@ def _landmark_and_truth(q: Quantities, j: int) -> float | None:
     assert q.rotation is not None
     assert q.position is not None
     y = q.landmarks[j]
-    there = _finite(q.rotation, q.position, y)
+    there = all_finite(q.rotation, q.position, y)
     if there.sum() < MIN_INTERVALS:
         return None
     expected = np.einsum("kji,kj->ki", q.rotation[there], q.places[j] - q.position[there])
@@ -527,7 +523,7 @@ def _landmark_and_truth(q: Quantities, j: int) -> float | None:
 
 def _landmark_and_motion(q: Quantities, j: int) -> float | None:
     y = q.landmarks[j]
-    change = _change(q, _finite(y))
+    change = _change(q, all_finite(y))
     if change is None:
         return None
     before, after = y[change.first], y[change.last]
@@ -537,7 +533,7 @@ def _landmark_and_motion(q: Quantities, j: int) -> float | None:
 
 def _two_landmarks(q: Quantities, i: int, j: int) -> float | None:
     between = q.landmarks[i] - q.landmarks[j]
-    there = _finite(between)
+    there = all_finite(between)
     if there.sum() < MIN_INTERVALS:
         return None
     known = float(np.linalg.norm(q.places[i] - q.places[j]))
@@ -553,7 +549,7 @@ def _two_vectors(q: Quantities, one: Vector, other: Vector) -> float | None:
     known = float(np.median(cosine(given(one.reference), given(other.reference))))
     found = []
     for first, second in itertools.product(_meanings(q, one), _meanings(q, other)):
-        there = _finite(first.body, second.body)
+        there = all_finite(first.body, second.body)
         if there.sum() >= MIN_INTERVALS:
             seen = cosine(first.body[there], second.body[there])
             found.append(abs(float(np.median(seen)) - known))

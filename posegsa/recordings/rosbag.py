@@ -16,14 +16,14 @@ measure in one frame of the body.
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from jax.typing import ArrayLike
 
 from posegsa.errors import RecordingError
 from posegsa.model.measurements import finite_array
-from posegsa.recordings.checked_files import MAX_BYTES, as_path, reading
+from posegsa.recordings.checked_files import as_path, file_of, reading
 from posegsa.recordings.streams import Stream
 
 Topics: TypeAlias = Mapping[str, str | Sequence[str]]
@@ -74,16 +74,6 @@ INERTIAL = "map", "odom", "world", "earth"
 """Names of frames that are not the body's (REP-105)."""
 
 
-class _Wanted(NamedTuple):
-    """One quantity of one topic."""
-
-    quantity: str
-    topic: str
-
-    def field(self, kind: str) -> str:
-        return FIELDS[self.quantity][kind]
-
-
 def is_bag(folder: Path) -> bool:
     """Whether a folder is a bag of ROS 2."""
     return (folder / "metadata.yaml").is_file()
@@ -109,8 +99,8 @@ def read_rosbag(
     path = as_path(path)
     if not path.exists():
         raise RecordingError(f"{path}: there is no such file or folder")
-    if path.is_file() and (size := path.stat().st_size) > MAX_BYTES:
-        raise RecordingError(f"{path}: {size} bytes; allowed: up to 4 GiB")
+    if path.is_file():
+        file_of(path)
     if stamps not in get_args(Stamps):
         raise RecordingError(f"stamps = {stamps!r}; allowed: {', '.join(get_args(Stamps))}")
     # Bags of older versions of ROS 2 do not contain the message definitions.
@@ -118,27 +108,27 @@ def read_rosbag(
     with reading(path), AnyReader([path], default_typestore=usual) as bag:
         held = {name: str(info.msgtype) for name, info in bag.topics.items()}
         wanted = _wanted(path, _imu(path, held) if topics is None else topics, held)
-        messages: dict[str, list[tuple[int, Any]]] = {one.topic: [] for one in wanted}
+        messages: dict[str, list[tuple[int, Any]]] = {topic: [] for _, topic in wanted}
         used = [one for one in bag.connections if one.topic in messages]
         for connection, received, data in bag.messages(connections=used):
             message = bag.deserialize(data, connection.msgtype)
             messages[connection.topic].append((received, message))
     streams: dict[str, Any] = {}
     sources = {}
-    for one in wanted:
-        where = f"{path}: topic {one.topic!r}"
-        if not messages[one.topic]:
-            raise RecordingError(f"{where}, for {one.quantity}: holds no message")
-        kind = held[one.topic]
-        stream = _stream(where, one, kind, messages[one.topic], stamps)
-        words = f"{one.topic} ({_short(kind)})"
-        name = "truth" if one.quantity in TRUTH else one.quantity.replace("_", " ")
-        if one.quantity in SEVERAL:
-            streams.setdefault(one.quantity, []).append(stream)
+    for quantity, topic in wanted:
+        where = f"{path}: topic {topic!r}"
+        if not messages[topic]:
+            raise RecordingError(f"{where}, for {quantity}: holds no message")
+        kind = held[topic]
+        stream = _stream(where, quantity, kind, messages[topic], stamps)
+        words = f"{topic} ({_short(kind)})"
+        name = "truth" if quantity in TRUTH else quantity.replace("_", " ")
+        if quantity in SEVERAL:
+            streams.setdefault(quantity, []).append(stream)
             before = f"{sources[name]}," if name in sources else "measured:"
             sources[name] = f"{before} {words}"
         else:
-            streams[one.quantity], sources[name] = stream, f"measured: {words}"
+            streams[quantity], sources[name] = stream, f"measured: {words}"
     return streams, sources, _unnamed(path, held, messages) if topics is None else []
 
 
@@ -194,7 +184,7 @@ def _unnamed(path: Path, held: Mapping[str, str], used: Collection[str]) -> list
     ]
 
 
-def _wanted(path: Path, topics: Topics, held: Mapping[str, str]) -> list[_Wanted]:
+def _wanted(path: Path, topics: Topics, held: Mapping[str, str]) -> list[tuple[str, str]]:
     """The quantities to read, each with its topic."""
     found = []
     for quantity, given in topics.items():
@@ -207,7 +197,7 @@ def _wanted(path: Path, topics: Topics, held: Mapping[str, str]) -> list[_Wanted
         for topic in names:
             each = TRUTH if quantity == "truth" else (quantity,)
             _check_topic(path, quantity, topic, FIELDS[each[0]], held)
-            found += [_Wanted(one, topic) for one in each]
+            found += [(one, topic) for one in each]
     if "angular_velocity" not in topics:
         raise RecordingError(f"{path}: topics: lacks angular_velocity; {_in_words(held)}")
     return found
@@ -227,11 +217,11 @@ def _check_topic(
 
 
 def _stream(
-    where: str, one: _Wanted, kind: str, messages: list[tuple[int, Any]], stamps: Stamps
+    where: str, quantity: str, kind: str, messages: list[tuple[int, Any]], stamps: Stamps
 ) -> Stream:
     """The stream of a quantity from the messages of a topic."""
-    _check_frames(where, one.quantity, kind, [message for _, message in messages])
-    field = one.field(kind)
+    _check_frames(where, quantity, kind, [message for _, message in messages])
+    field = FIELDS[quantity][kind]
     if kind == _IMU and getattr(messages[0][1], f"{field}_covariance")[0] == -1:
         raise RecordingError(
             f"{where}: its {field}_covariance begins with -1, so it does not measure that (REP-145)"
@@ -245,7 +235,7 @@ def _stream(
                 f"{where}: the stamps in its headers are all 0; allowed: stamps = 'bag', the time "
                 "at which messages came into the bag"
             )
-    parts = attrgetter(*(("w", "x", "y", "z") if one.quantity == TRUTH[0] else ("x", "y", "z")))
+    parts = attrgetter(*(("w", "x", "y", "z") if quantity == TRUTH[0] else ("x", "y", "z")))
     read = attrgetter(field)
     return np.array(time, np.int64), np.array([parts(read(m)) for _, m in messages], float)
 

@@ -21,7 +21,7 @@ from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.recordings.bridging import refuse_gaps
 from posegsa.recordings.recording import Recording
-from posegsa.recordings.start import Start, with_numpy_arrays
+from posegsa.recordings.start import Start
 
 PART = 2**12
 """Number of samples on the device at once."""
@@ -104,7 +104,7 @@ def as_seen(filter: Filter, recording: Recording) -> Recording:
             if isinstance(filter, KalmanFilter)
             else weights / getattr(recording, f"{kind}_interval")
         )
-    return replace(recording, measurements=with_numpy_arrays(m))
+    return replace(recording, measurements=Measurements(**m))
 
 
 def state_of(start: Start) -> FilterState:

@@ -1,6 +1,6 @@
 """Initial estimates: a given pose, or a pose from the measurements."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -48,11 +48,6 @@ def checked_start(start: Any) -> StartRule:
     return Start(rotation, finite_array("start position", start[1], (3,)), bias)
 
 
-def with_numpy_arrays(arrays: Mapping[str, Any]) -> Measurements:
-    """Measurements of NumPy arrays, float64 whatever the settings of JAX."""
-    return Measurements(**arrays)
-
-
 def aligned(measurements: Measurements, samples: slice, bias: np.ndarray | None) -> Start:
     """The pose that fits the mean vectors and landmarks over some samples.
 
@@ -72,7 +67,7 @@ def aligned(measurements: Measurements, samples: slice, bias: np.ndarray | None)
     Raises:
         RecordingError: neither a vector nor two landmarks are measured there.
     """
-    m = with_numpy_arrays({k: np.asarray(a)[samples] for k, a in measurements._asdict().items()})
+    m = measurements.at(samples)
     if bias is not None:
         m = _carried_to_the_first(m, bias)
     u, v = _means(m.vectors, m.vector_references, m.vector_weights)

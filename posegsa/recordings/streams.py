@@ -104,21 +104,17 @@ def _is_stream(given: object) -> bool:
 def _named(streams: Mapping[str, Any]) -> Iterator[tuple[str, tuple[str, Stream]]]:
     """For the name of each stream, such as "landmarks[0]", its quantity and itself."""
     for quantity, given in streams.items():
-        if _is_stream(given):
-            yield quantity, (quantity, given)
-            continue
-        if quantity not in ("vectors", "landmarks") or not isinstance(given, Sequence):
-            raise RecordingError(
-                f"{quantity}: {type(given).__name__}; allowed: a pair of time stamps (N,) and "
-                "values (N, 3), of vectors and landmarks a list of pairs"
-            )
-        for number, each in enumerate(given):
-            if not _is_stream(each):
+        each = {quantity: given}
+        several = quantity in ("vectors", "landmarks") and not _is_stream(given)
+        if several and isinstance(given, Sequence):
+            each = {f"{quantity}[{number}]": one for number, one in enumerate(given)}
+        for name, one in each.items():
+            if not _is_stream(one):
                 raise RecordingError(
-                    f"{quantity}[{number}]: {type(each).__name__}; allowed: a pair of time stamps "
-                    "(N,) and values (N, 3)"
+                    f"{name}: {type(one).__name__}; allowed: a pair of time stamps (N,) and values "
+                    "(N, 3), of vectors and landmarks a list of pairs"
                 )
-            yield f"{quantity}[{number}]", (quantity, each)
+            yield name, (quantity, one)
 
 
 def _ways(between: Mapping[str, Between], streams: Mapping[str, Any]) -> dict[str, Between]:

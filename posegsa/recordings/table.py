@@ -72,11 +72,8 @@ def read_csv(
     if columns is None:
         columns = _default_columns(path, head)
         time_unit = "ns" if columns["time"] == "time_ns" else time_unit
-    columns = by_argument(columns)
-    if unread := _unread(head, columns):
-        found["notes"] = (f"columns that are not used: {unread}",)
     table = _Table(path, head, cells, delimiter)
-    for argument, names in columns.items():
+    for argument, names in by_argument(columns).items():
         if argument == "time":
             found["time"] = table.times(names, time_unit)
         elif argument in SENSORS:
@@ -86,6 +83,8 @@ def read_csv(
             found[argument] = np.where(np.isin(values, (0, 1)), values, -1).astype(int)
         else:
             found[argument] = table.array(argument, names)
+    if unread := ", ".join(name for name in head if name not in table.used):
+        found["notes"] = (f"columns that are not used: {unread}",)
     return found
 
 
@@ -126,6 +125,8 @@ class _Table:
         """What may be a decimal mark: a comma only where it separates no columns."""
         self.mark = ""
         """That of the file, once one has been read."""
+        self.used = {"time", "time_ns"}
+        """Names of the columns that have been read; one time is enough."""
 
     def array(self, argument: str, names: Any) -> np.ndarray:
         """Numbers (K, ...) of columns; nested lists of names make the axes after the first."""
@@ -149,6 +150,7 @@ class _Table:
             raise RecordingError(
                 f"{self.path}: {what} {name!r}, for {argument}; it has: {', '.join(self.head)}"
             )
+        self.used.add(name)
         at = self.head.index(name)
         return [(k, row[at].strip()) for k, row in enumerate(self.cells)]
 
@@ -210,18 +212,3 @@ def _sightings(path: Path, head: list[str]) -> dict[str, list[list[str]]]:
             )
         found[KINDS[kind]] = names
     return found
-
-
-def _unread(head: list[str], columns: Columns) -> str:
-    """Names of the columns of a file that are not used."""
-    used = {"time", "time_ns"}
-
-    def use(names: Any) -> None:
-        if isinstance(names, str):
-            used.add(names)
-        else:
-            for each in names:
-                use(each)
-
-    use(columns.values())
-    return ", ".join(name for name in head if name not in used)

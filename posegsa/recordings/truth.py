@@ -22,14 +22,18 @@ class RecordedTruth(NamedTuple):
     @property
     def known(self) -> np.ndarray:
         """(K,) True where rotation and position are known."""
-        arrays = [a for a in self if a is not None]
-        finite = [np.isfinite(a).reshape(len(a), -1) for a in arrays]
-        return np.asarray(np.concatenate(finite, axis=1).all(axis=1))
+        return all_finite(*(a for a in self if a is not None))
 
     def each(self, change: Callable[[np.ndarray], np.ndarray]) -> "RecordedTruth":
         """The reference with a function applied to both arrays."""
         position = None if self.position is None else change(self.position)
         return RecordedTruth(change(self.rotation), position)
+
+
+def all_finite(*arrays: np.ndarray) -> np.ndarray:
+    """Whether all numbers of arrays (K, ...) are finite, (K,)."""
+    each = [np.isfinite(a).all(axis=tuple(range(1, a.ndim))) for a in arrays]
+    return np.all(each, axis=0)
 
 
 def checked_truth(

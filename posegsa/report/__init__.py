@@ -1,8 +1,8 @@
 """The report of a result: a single HTML file without network access or scripts.
 
 `page.html` is that of a result on drawn scenarios, `recordings.html` that of one on recordings
-alone; `recorded.html` and `ends.html` are in both, `parts.html` has macros for repeated parts.
-Python passes them the result and everything that a template cannot compute.
+alone; `head.html`, `recorded.html` and `ends.html` are in both, `parts.html` has macros for what
+repeats. Python passes them the result and everything that a template cannot compute.
 """
 
 from base64 import b64encode
@@ -25,8 +25,8 @@ from posegsa.judging.evaluation import CONSISTENCY_WORDS, KALMAN_SEARCH_WORDS, S
 from posegsa.judging.on_scenarios import OnScenarios
 from posegsa.judging.result import Result
 from posegsa.judging.trust import SENSITIVE
-from posegsa.report import report_tables
 from posegsa.report.numbers import cost, interval, number, percent, plus_minus
+from posegsa.report.report_tables import rules, simulations, terms
 from posegsa.report.sentences import (
     cost_words,
     filter_words,
@@ -75,7 +75,7 @@ def report_html(result: Result, pictures: Mapping[str, bytes]) -> str:
 
 def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
     """What the page of a result on drawn scenarios shows of them."""
-    fuzzy = result.filter.kind == "fuzzy"
+    fuzzy, gains = result.filter.kind == "fuzzy", result.experiment.parameters.gain_range
     return {
         "judged": judged,
         "evaluation": judged.evaluation,
@@ -89,11 +89,11 @@ def _of_scenarios(result: Result, judged: OnScenarios) -> dict[str, Any]:
         "angles_differ": evaluation_figures.angles_differ(judged.evaluation),
         "evaluation_figures": evaluation_figures.FIGURES,
         "trajectory_figures": trajectory_figures.FIGURES,
-        "input_terms": report_tables.input_terms(result) if fuzzy else [],
-        "output_terms": report_tables.output_terms(result) if fuzzy else [],
+        "input_terms": terms(result, slice(11), config.INPUT_RANGE) if fuzzy else [],
+        "output_terms": terms(result, slice(11, None), gains) if fuzzy else [],
         "error_columns": [f"Error {term}" for term in config.TERMS],
-        "rules": [] if judged.trust.rule_weights is None else report_tables.rules(result),
-        "simulations": report_tables.simulations(result),
+        "rules": [] if judged.trust.rule_weights is None else rules(result),
+        "simulations": simulations(result),
     }
 
 

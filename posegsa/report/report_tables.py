@@ -5,24 +5,21 @@ import numpy as np
 from posegsa import config
 from posegsa.judging.result import Result
 from posegsa.judging.trust import PERTURBATION
-from posegsa.report.numbers import number
+from posegsa.report.numbers import cost, number, percent
 from posegsa.search.search_spaces import rule_indices
 
 Noted = tuple[str, list[tuple[str, str]]]
 """A row: its header, and for each cell its text and a note."""
 
 
-def input_terms(result: Result) -> list[Noted]:
-    """The corners of the input terms, VS to VL, each with the name of its parameter."""
-    return _terms(result, slice(11), config.INPUT_RANGE)
+def terms(result: Result, part: slice, ends: tuple[float, float]) -> list[Noted]:
+    """The corners of terms, VS to VL, each with the name of its parameter.
 
-
-def output_terms(result: Result) -> list[Noted]:
-    """The corners of the output terms, VS to VL, each with the name of its parameter."""
-    return _terms(result, slice(11, None), result.experiment.parameters.gain_range)
-
-
-def _terms(result: Result, part: slice, ends: tuple[float, float]) -> list[Noted]:
+    Args:
+        result: Of a fuzzy schedule.
+        part: The parameters of these terms.
+        ends: The range of the terms.
+    """
     low, high = (f"{end:g}" for end in ends)
     corners = config.triangles([number(k, ".5g") for k in result.parameters[part]], low, high)
     names = config.triangles(config.PARAMETERS[part], "fixed", "fixed")
@@ -48,7 +45,7 @@ def rules(result: Result) -> list[Noted]:
     return rows
 
 
-def simulations(result: Result) -> list[tuple[str, float, float]]:
+def simulations(result: Result) -> list[tuple[str, str, str]]:
     """Ways of simulating the training scenarios, with their mean costs and deviations.
 
     The deviation is relative to the cost in the run's own precision.
@@ -59,6 +56,10 @@ def simulations(result: Result) -> list[tuple[str, float, float]]:
     reference = np.float64(costs[own])
     costs[f"{own}, initial pose changed by {PERTURBATION:g}"] = trust.cost_perturbed
     return [
-        (f"{name} (used in the run)" if name == own else name, cost, cost / reference - 1)
-        for name, cost in costs.items()
+        (
+            f"{name} (used in the run)" if name == own else name,
+            cost(value, ".4f"),
+            percent(value / reference - 1, "+.2g"),
+        )
+        for name, value in costs.items()
     ]

@@ -44,26 +44,16 @@ def locked_folder(folder: str | Path, *, overwrite: bool = False) -> Iterator[Pa
         yield prepare_folder(folder, overwrite=overwrite)
 
 
-def holds_run(folder: Path) -> bool:
-    """Whether a folder contains a run, finished or not."""
-    started = any((folder / CHECKPOINTS).glob(f"*{CHECKPOINT_SUFFIX}"))
-    return started or _holds_finished_run(folder)
-
-
-def _holds_finished_run(folder: Path) -> bool:
-    return any((folder / place / RESULT).exists() for place in ("", _COMMITTED))
-
-
 def prepare_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     """Create a folder, after checking that a run may be written to it."""
     folder = as_path("folder", folder)
     if not overwrite:
-        if _holds_finished_run(folder):
+        if any((folder / place / RESULT).exists() for place in ("", _COMMITTED)):
             raise RunFolderError(
                 f"{folder}: holds a run already; choose another folder, or replace the run "
                 "(--overwrite; overwrite=True)"
             )
-        if holds_run(folder):
+        if any((folder / CHECKPOINTS).glob(f"*{CHECKPOINT_SUFFIX}")):
             raise RunFolderError(
                 f"{folder}: holds an unfinished run; resume it (--resume; resume=...), choose "
                 "another folder, or replace the run (--overwrite; overwrite=True)"

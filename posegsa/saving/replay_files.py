@@ -1,4 +1,4 @@
-"""The files of replays: a table, and trajectories and figures of each recording."""
+"""The files of replays (a table, trajectories, figures), and of checks of recordings."""
 
 import math
 import re
@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from posegsa.errors import RunFolderError
+from posegsa.figures.check_figures import plot_check
 from posegsa.figures.replay_figures import REPLAY_FIGURES, draw_replay
 from posegsa.figures.style import png
 from posegsa.judging.replayed import Replay, replay_table
+from posegsa.recordings.data_check import DataCheck
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.tum import tum_text
 from posegsa.saving.estimates_csv import csv_text
@@ -20,7 +22,7 @@ from posegsa.settings.plain import json_text, plain
 
 SCHEMA = 1
 """Version of the format of replay.json; it changes when a key changes its meaning."""
-TABLE, DATA = "replay.txt", "replay.json"
+TABLE, DATA, CHECK = "replay.txt", "replay.json", "check.txt"
 TRAJECTORIES = "estimated.tum", "true.tum", "judged.tum"
 
 
@@ -72,6 +74,23 @@ def write_replays(
         replace_files(
             folder, files, remove=[f"{name}/{file}" for name in names for file in optional]
         )
+    return folder
+
+
+def write_checks(checks: Sequence[DataCheck], folder: str | Path) -> Path:
+    """Write checks to a folder, created if missing: check.txt and a figure of each recording.
+
+    Raises:
+        RunFolderError: The folder cannot be written.
+    """
+    folder = as_path("folder", folder)
+    with write_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    names = folder_names([each.recording.name for each in checks])
+    files = {f"{n}.png": png(plot_check(one)) for n, one in zip(names, checks, strict=True)}
+    files[CHECK] = ("\n\n".join(one.text() for one in checks) + "\n").encode()
+    with lock(folder):
+        replace_files(folder, files, remove=[])
     return folder
 
 

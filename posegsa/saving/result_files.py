@@ -37,7 +37,7 @@ SUMMARY, TABLE, REPORT = "summary.txt", "evaluation.txt", "report.html"
 HISTORY, TRAJECTORY = "history.csv", "trajectory.csv"
 _FIGURE = f"{FIGURES}/{{}}.png"
 RUN_FIGURES = [_FIGURE.format(name) for name in result_figures.NAMES]
-FILES = (REPORT, RESULT, SUMMARY, TABLE, HISTORY, TRAJECTORY)
+FILES = (REPORT, RESULT, SUMMARY, HISTORY, TABLE, TRAJECTORY)
 RUN_FILES = [*FILES, *RUN_FIGURES]
 """All files of a finished run except checkpoints; `load` reads result.json alone."""
 MAX_RESULT = 2**30 + 2**9 * MAX_SAMPLES
@@ -108,7 +108,7 @@ def write_result(
     if result.on_scenarios is not None:
         texts[TABLE] = result.on_scenarios.evaluation.table() + "\n"
         texts[TRAJECTORY] = to_csv(result.on_scenarios.trajectory)
-    if _is_judged(result):
+    if result.on_scenarios is not None or result.on_recordings is not None:  # it was judged
         steps.begin("writing" if figures == [] else "drawing")
         drawn = list(draw(result, figures).items())
         pictures = {name: png(figure) for name, figure in steps.each("drawing", drawn)}
@@ -121,21 +121,10 @@ def write_result(
     replace_files(folder, files, remove=stale)
 
 
-def written(result: Result, figures: list[str] | None = None) -> list[str]:
-    """The names of the files that `write_result` writes for a result, as readable text."""
-    names = [RESULT, SUMMARY]
-    if result.search is not None:
-        names.append(HISTORY)
-    if result.on_scenarios is not None:
-        names += [TABLE, TRAJECTORY]
-    if _is_judged(result):
-        names = [REPORT, *names, *([] if figures == [] else [f"{FIGURES}/"])]
-    return names
-
-
-def _is_judged(result: Result) -> bool:
-    """Whether a result has been judged, so that there is something to report."""
-    return result.on_scenarios is not None or result.on_recordings is not None
+def written(folder: str | Path) -> list[str]:
+    """The names of the files of a run in its folder, as readable text: all figures are one name."""
+    there = [name for name in RUN_FILES if (Path(folder) / name).exists()]
+    return list(dict.fromkeys(name if name in FILES else f"{FIGURES}/" for name in there))
 
 
 def load(folder: str | Path, *, filter: OwnFilter | None = None, edited: bool = False) -> Result:

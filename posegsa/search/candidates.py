@@ -132,8 +132,10 @@ class SimpleSpace:
     """(d,)"""
     upper: Array
     """(d,)"""
-    make: Callable[[Array], GainSchedule | None] = field(metadata={"static": True})
-    """Maps a vector (d,) to the schedule."""
+    make: Callable[[Array], GainSchedule | None] = field(
+        default=lambda _: None, metadata={"static": True}
+    )
+    """Maps a vector (d,) to the schedule; by default there is none."""
 
     def schedule(self, vector: Array) -> GainSchedule | None:
         """The schedule of a vector (d,)."""
@@ -148,8 +150,4 @@ class SimpleSpace:
 def without_schedule(dtype: DTypeLike) -> SimpleSpace:
     """The space of a filter that has no schedule: only its own numbers are searched."""
     none = jnp.zeros(0, dtype)
-    return SimpleSpace(none, none, _no_schedule)
-
-
-def _no_schedule(vector: Array) -> None:
-    del vector
+    return SimpleSpace(none, none)

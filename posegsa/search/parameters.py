@@ -106,7 +106,7 @@ class ParameterSpace:
             offset=self.offset,
         )
 
-    def schedule(self, vector: Array) -> FuzzyGain | SearchedRulesGain:
+    def schedule(self, vector: Array) -> FuzzyGain:
         """The gain schedule of a vector (d,).
 
         Inside jit, searched rules are arrays of the schedule; outside, they are a rule table.

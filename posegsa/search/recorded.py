@@ -15,21 +15,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from posegsa import config
 from posegsa.config import shipped
 from posegsa.config.schedule_config import AlsoTuned
 from posegsa.errors import ConfigError, RecordingError
-from posegsa.filters.base import Filter, Samples, Sensors, samples_of
+from posegsa.filters.base import Sensors, samples_of
 from posegsa.model.cost import CostWeights, RecordedCost
 from posegsa.model.estimate import FilterState
-from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import rotate, rows
 from posegsa.recordings.data_check import found_noises
 from posegsa.recordings.recording import Recording
 from posegsa.recordings.running import as_seen, state_of
-from posegsa.recordings.start import with_numpy_arrays
 from posegsa.search import memory
 from posegsa.search.configured_filters import OwnFilter, filter_of
 from posegsa.search.drawn_scenarios import all_scenarios
@@ -83,9 +80,11 @@ def recorded_problem(
         raise ConfigError(
             'gain.signal = "pose" looks at the true pose; allowed on recordings: "measured"'
         )
-    experiment = with_effect_on_recordings(experiment, recordings, strict=strict)
+    most = most_sensors(recordings)
+    experiment = with_effect_on(experiment, *most, strict=strict)
     recordings = with_starts_off(recordings, experiment.objective.starts_off)
-    memory.check([experiment], recorded=_size(recordings))
+    longest = max(one.samples for one in recordings)
+    memory.check([experiment], recorded=memory.RecordedSize(len(recordings), longest, *most))
     problem = TuningProblem(
         experiment=experiment,
         scenarios=None,
@@ -153,33 +152,12 @@ def default_experiment(recordings: Sequence[Recording]) -> config.Experiment:
     return kalman.replace(**{"parameters.also": also, "objective.least_gain": LEAST_IMPROVEMENT})
 
 
-def with_effect_on_recordings(
-    experiment: config.Experiment,
-    recordings: Sequence[Recording],
-    *,
-    strict: bool = True,
-) -> config.Experiment:
-    """An experiment that tunes only what has an effect on these recordings (`with_effect_on`)."""
-    return with_effect_on(experiment, *_most_sensors(recordings), strict=strict)
-
-
-def _size(recordings: Sequence[Recording]) -> memory.RecordedSize:
-    """The size of a batch of recordings."""
-    vectors, landmarks = _most_sensors(recordings)
-    return memory.RecordedSize(
-        count=len(recordings),
-        samples=max(one.samples for one in recordings),
-        vectors=vectors,
-        landmarks=landmarks,
-    )
-
-
 def _check_same_sensors(experiment: config.Experiment, recordings: Sequence[Recording]) -> None:
     """Raise a ConfigError unless recordings have the same sensors as the scenarios."""
     share = experiment.objective.simulated_share
     needed = len(experiment.scenario.vectors), len(experiment.scenario.landmarks)
     for one in recordings:
-        found = _most_sensors([one])
+        found = most_sensors([one])
         has = f"{counted(found[0], 'vector')} and {counted(found[1], 'landmark')}"
         if one.attitude_only:
             has = "no position (attitude only)"
@@ -282,7 +260,7 @@ def recorded_batch(
 ) -> ScenarioBatch:
     """Recordings as S scenarios, at an experiment's dtype, for its filter, or the user's own."""
     dtype = jnp.dtype(experiment.run.dtype)
-    most = _most_sensors(recordings)
+    most = most_sensors(recordings)
     filter = filter_of(experiment, own, Sensors(*most))
     recordings = [as_seen(filter, one) for one in recordings]
     length = max(one.samples for one in recordings)
@@ -291,7 +269,7 @@ def recorded_batch(
         lambda *leaves: jnp.asarray(np.stack(leaves), dtype), *padded
     )
     samples = _prepared(
-        together["measurements"], together["rotation"], together["position"], filter
+        filter, together["measurements"], together["rotation"], together["position"]
     )
     starts: list[FilterState] = [state_of(one.initial()) for one in recordings]
     initial = jax.tree.map(lambda *leaves: jnp.stack(leaves).astype(dtype), *starts)
@@ -309,17 +287,10 @@ def recorded_batch(
     )
 
 
-@jax.jit
-def _prepared(
-    measurements: Measurements, rotation: Array, position: Array, filter: Filter
-) -> Samples:
-    def one(m: Measurements, R: Array, P: Array) -> Samples:
-        return samples_of(filter, m, R, P)
-
-    return jax.vmap(one)(measurements, rotation, position)
+_prepared = jax.jit(jax.vmap(samples_of, in_axes=(None, 0, 0, 0)))
 
 
-def _most_sensors(recordings: Sequence[Recording]) -> tuple[int, int]:
+def most_sensors(recordings: Sequence[Recording]) -> tuple[int, int]:
     """The largest number of vectors, and of landmarks, in a recording."""
     vectors = max(np.shape(one.measurements.vectors)[1] for one in recordings)
     return vectors, max(np.shape(one.measurements.landmarks)[1] for one in recordings)
@@ -362,7 +333,7 @@ def _padded(
         "position_weight": np.float64(0.0 if truth.position is None else position_weight),
     }
     return {
-        "measurements": with_numpy_arrays(m),
+        "measurements": Measurements(**m),
         "rotation": R,
         "position": P,
         "cost": RecordedCost(**cost),

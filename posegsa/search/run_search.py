@@ -5,15 +5,13 @@ import time
 import warnings
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.sharding import Mesh
-from jax.typing import ArrayLike
 
 from posegsa import steps
 from posegsa.errors import ConfigError, PosegsaWarning, SearchInterrupted
@@ -31,7 +29,6 @@ from posegsa.search.candidates import SearchSpace
 from posegsa.search.devices import AXIS, collect, mesh_for, on_each, spread
 from posegsa.search.keys import keys
 from posegsa.search.objective import SearchObjective, packed_batch
-from posegsa.search.packing import Packed
 from posegsa.search.parameters import ParameterSpace
 from posegsa.search.problem import TuningProblem
 
@@ -263,39 +260,10 @@ def _on_devices(problem: TuningProblem, search: Search) -> tuple[Search, Runner]
 
     For R searches the problem's arrays have leaves (R, ...).
     """
-    optimiser, objective, mesh = problem.experiment.search, *_objective(problem)
-    given = search, problem.space.box, packed_batch(problem.training), problem.space
-    search, box, *data = spread((*given, packed_batch(problem.beside)), mesh)
-    return search, runner(optimiser, objective, box, *data, on_devices=on_each(mesh))
-
-
-def _objective(problem: TuningProblem) -> tuple[SearchObjective, Mesh | None]:
-    """The objective of a problem, and the devices over which its simulations are divided."""
     experiment = problem.experiment
     mesh = mesh_for(experiment.search.agents * experiment.run.training_scenarios)
     axis = None if mesh is None else AXIS
-    return SearchObjective(experiment.objective, axis, problem.cost), mesh
-
-
-def on_all_devices(problem: TuningProblem) -> Callable[[ArrayLike], Array]:
-    """The objective of a problem: a function from search vectors (A, d) to costs (A,)."""
-    objective, mesh = _objective(problem)
-    data = spread(
-        (packed_batch(problem.training), problem.space, packed_batch(problem.beside)), mesh
-    )
-    costs = _costs(objective, mesh)
-
-    def call(vectors: ArrayLike) -> Array:
-        # Copying from the host to all devices takes half as long as from one device to the others.
-        given = vectors if mesh is None else np.asarray(vectors)
-        return collect(costs(spread(given, mesh), *data))
-
-    return call
-
-
-@cache
-def _costs(objective: SearchObjective, mesh: Mesh | None) -> Callable[..., Array]:
-    def costs(vectors: Array, training: Packed, space: SearchSpace, beside: Packed | None) -> Array:
-        return objective(training, space, beside).costs(vectors)
-
-    return jax.jit(on_each(mesh)(costs))
+    objective = SearchObjective(experiment.objective, axis, problem.cost)
+    given = search, problem.space.box, packed_batch(problem.training), problem.space
+    search, box, *data = spread((*given, packed_batch(problem.beside)), mesh)
+    return search, runner(experiment.search, objective, box, *data, on_devices=on_each(mesh))

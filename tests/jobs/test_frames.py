@@ -56,7 +56,7 @@ def test_all_filters_err_the_same_in_each_frame() -> None:
         assert float(rows[frame][1][4]) < 2.0
         assert judged.frame == frame, "its exports and streams are in the frame too"
         said = judged.on_recordings.verdict()
-        assert (f"--frame {frame}" in said) == (frame != "ENU" and "take this filter" in said)
+        assert (f"--frame {frame}" in said) == (frame != "ENU" and "Take this filter" in said)
     assert rows["ENU"] == rows["NED"] == rows["NWU"]
 
 

@@ -39,7 +39,6 @@ from posegsa.judging.tuned_kalman import VARIANTS
 from posegsa.model.schedules import (
     SCHEDULES,
     ConstantGain,
-    FuzzyGain,
     KnotGain,
     RampGain,
     ScheduleInputs,
@@ -242,14 +241,13 @@ def test_a_kalman_filter_without_feedback_has_nothing_to_replay(problem, kind) -
 
 def test_random_search_needs_no_library_of_the_runs_own_optimiser(problem, monkeypatch) -> None:
     found = random_search(problem)
-    assert isinstance(found.schedule, FuzzyGain)
+    assert found.kind == "fuzzy"
     for module in [m for m in sys.modules if m.split(".")[0] == "evosax"]:
         monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.setitem(sys.modules, "evosax", None)
     other = config.override(problem.experiment, ["search.optimiser=cma_es"])
     again = random_search(problem._replace(experiment=other))
-    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(again), strict=True):
-        np.testing.assert_array_equal(a, b)
+    assert again.numbers == found.numbers
 
 
 def test_the_grids_constant_is_the_best_of_all_whole_gains(problem) -> None:

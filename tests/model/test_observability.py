@@ -4,7 +4,6 @@ from helpers.messages import assert_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from posegsa.errors import ScenarioError
 from posegsa.model.observability import (
     are_collinear,
     why_attitude_unobservable,
@@ -64,19 +63,13 @@ def test_only_weights_above_zero_count() -> None:
     assert not is_observable([UP], CORNERS, [0.0], [1.0, 0.0, 1.0])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (([[1.0, 2.0]], CORNERS), r"directions has shape \(1, 2\).*\(n, 3\)"),
-        (([UP], CORNERS[0]), r"positions has shape \(3,\)"),
-        (([UP], CORNERS, [1.0, 1.0]), r"directions has 1 rows, its weights have shape \(2,\)"),
-        (([(0.0, 0.0, 0.0)], CORNERS), "directions.*zero vector"),
-        (([(0.0, 0.0, np.nan)], CORNERS), "directions.*not finite"),
-    ],
-)
-def test_arrays_that_make_no_sense_are_refused(arguments: tuple[object, ...], message: str) -> None:
-    with pytest.raises(ScenarioError, match=message):
-        why_unobservable(*arguments)
+def test_a_vector_of_length_zero_shows_nothing_and_a_landmark_at_the_origin_something() -> None:
+    zero = (0.0, 0.0, 0.0)
+    assert not is_observable([UP, zero], CORNERS[:1])
+    assert_states(why_unobservable([UP, zero], CORNERS[:1]), "found 1 vector and 1 landmark")
+    assert_states(why_attitude_unobservable([zero, UP]), "found 1 vector")
+    assert is_observable([zero, ALONG, UP], CORNERS[:1])
+    assert is_observable([UP], [zero, CORNERS[0]])
 
 
 @settings(deadline=None)

@@ -8,7 +8,7 @@ from helpers.messages import assert_states
 from helpers.recordings import motion
 
 from posegsa.errors import PosegsaWarning, RecordingError
-from posegsa.recordings.outliers import landmark_outliers
+from posegsa.recordings.outliers import without_outliers
 from posegsa.recordings.recording import Recording
 
 pytestmark = pytest.mark.quick
@@ -111,6 +111,15 @@ def test_the_limit_grows_with_the_root_of_the_time_between_two_sightings() -> No
     for jump, expected in ((1.15 * limit, 1), (0.85 * limit, 0)):
         moved = y.copy()
         moved[58:, 0] += [0, jump, 0]
-        out = landmark_outliers(moved, np.isfinite(y[..., 0]), still, still, np.full(80, 0.01), 7)
-        assert out.sum() == expected
-        assert out[58, 0] == expected
+        values = {
+            "time_step": np.full(80, 0.01),
+            "angular_velocity": still,
+            "velocity": still,
+            "landmarks": moved,
+            "landmark_weights": np.isfinite(y[..., 0]).astype(float),
+        }
+        before = values["landmark_weights"]
+        without_outliers(values, 0.01 * np.arange(80), 7)
+        lost = before - values["landmark_weights"]
+        assert lost.sum() == expected
+        assert lost[58, 0] == expected

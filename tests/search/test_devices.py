@@ -122,13 +122,15 @@ def test_a_batch_on_four_devices_finds_what_a_search_alone_finds_on_one(task, al
 def test_all_at_once_as_on_an_accelerator_gives_the_same_bits(task, monkeypatch):
     box, rng = task.space.box, np.random.default_rng(0)
     vectors = rng.uniform(box.lower, box.upper, (AGENTS, 22)).astype(np.float32)
-    in_pieces = searching.on_all_devices(task)(vectors)
+
+    def costs_on(count):
+        def costs(vectors, problem, space):
+            return population_costs(vectors, problem, space, axis=devices.AXIS)
+
+        mesh = devices.mesh_of(jax.devices()[:count])
+        everything = devices.spread((jnp.asarray(vectors), task.training, task.space), mesh)
+        return devices.collect(jax.jit(devices.on_each(mesh)(costs))(*everything))
+
+    in_pieces = costs_on(4)
     monkeypatch.setattr(jax, "default_backend", lambda: "tpu")  # a GPU: `test_gpu_loop`
-    mesh = devices.mesh_of(jax.devices()[:2])
-
-    def at_once(vectors, problem, space):
-        return population_costs(vectors, problem, space, axis=devices.AXIS)
-
-    everything = devices.spread((jnp.asarray(vectors), task.training, task.space), mesh)
-    together = devices.collect(jax.jit(devices.on_each(mesh)(at_once))(*everything))
-    np.testing.assert_array_equal(together, in_pieces)
+    np.testing.assert_array_equal(costs_on(2), in_pieces)

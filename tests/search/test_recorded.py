@@ -19,7 +19,7 @@ from posegsa.recordings.recording import Recording
 from posegsa.search import memory
 from posegsa.search.candidates import Candidate
 from posegsa.search.configured_filters import filter_of
-from posegsa.search.population import costs_by_scenario, partition
+from posegsa.search.population import costs_by_scenario, evaluate_population, partition
 from posegsa.search.problem import tuning_problem
 from posegsa.search.recorded import (
     recorded_batch,
@@ -27,7 +27,6 @@ from posegsa.search.recorded import (
     with_effect_on,
     with_starts_off,
 )
-from posegsa.search.run_search import on_all_devices
 
 BASE: dict[str, Any] = {
     "filter": {
@@ -298,7 +297,14 @@ def test_each_group_has_its_share_of_what_is_minimised(one_landmark: Recording) 
         np.asarray(costs_by_scenario(GAINS, each)) for each in (problem.training, problem.beside)
     ]
     expected = 0.75 * apart[0].mean(axis=0) + 0.25 * apart[1].mean(axis=0)
-    np.testing.assert_allclose(on_all_devices(problem)(vectors), expected, rtol=1e-5)
+    costs = evaluate_population(
+        vectors,
+        problem.training,
+        problem.space,
+        objective=problem.experiment.objective,
+        beside=problem.beside,
+    )
+    np.testing.assert_allclose(costs, expected, rtol=1e-5)
 
 
 @PROJECTED
