@@ -22,7 +22,7 @@ from posegsa.search.keys import held_out_keys
 FILTERS: dict[str, tuple[str, list[str]]] = {
     "`kalman`, not tuned": ("kalman", []),
     "the same, one linearisation": ("kalman", ["filter.iterations=1"]),
-    "the same, reset in two frames": (
+    "the same, one linearisation, reset in two frames": (
         "kalman",
         ["filter.iterations=1", 'filter.reset="two frames"'],
     ),
