@@ -242,7 +242,7 @@ class PoseFilter:
         sample = [
             *([self._time, dt], omega, v),
             *(vectors_seen.ravel(), vector_factors, landmarks_seen.ravel(), landmark_factors),
-        ]  # in the order of OnlineSample
+        ]  # the time, then in the order of Measurements
         if not np.isnan(before).all():
             record = self._loop(before, np.concatenate(sample).astype(self._dtype))
             self._check_estimate(record)
