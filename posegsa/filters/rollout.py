@@ -234,16 +234,8 @@ def simulate_cost(
         error = sample_error(*pose_errors(view.estimate, view.now.truth), weights)
         return CostParts(total.transient + transient * error, total.steady + steady * error), None
 
-    zero = jnp.zeros_like(initial.place[0])
-    _, parts, _ = run(
-        look,
-        filter,
-        samples,
-        started(filter, initial, sensors_in(samples)),
-        extra=(weights.transient, weights.steady),
-        total=CostParts(zero, zero),
-    )
-    return parts
+    extra = weights.transient, weights.steady
+    return _summed(look, filter, samples, initial, extra, CostParts)
 
 
 def simulate_recorded_cost(
@@ -262,16 +254,18 @@ def simulate_recorded_cost(
             total.attitude + weight * attitude, total.position + weight * dot(off, off)
         ), None
 
-    zero = jnp.zeros_like(initial.place[0])
-    _, squares, _ = run(
-        look,
-        filter,
-        samples,
-        started(filter, initial, sensors_in(samples)),
-        extra=(recorded.weight, recorded.position),
-        total=SquaredErrors(zero, zero),
-    )
+    extra = recorded.weight, recorded.position
+    squares = _summed(look, filter, samples, initial, extra, SquaredErrors)
     return squares.cost(recorded.position_weight)
+
+
+def _summed(
+    look: Look, filter: Filter, samples: Samples, initial: FilterState, extra: Any, kind: Any
+) -> Any:
+    """The sum of two numbers, of this kind, over all samples."""
+    zero = jnp.zeros_like(initial.place[0])
+    state = started(filter, initial, sensors_in(samples))
+    return run(look, filter, samples, state, extra=extra, total=kind(zero, zero))[1]
 
 
 @jax.jit
