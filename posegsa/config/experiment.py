@@ -30,7 +30,6 @@ from posegsa.config.tunable import (
     also_conflicts,
     is_stated,
     tunable,
-    with_effect,
     with_numbers,
 )
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
@@ -176,7 +175,8 @@ class Experiment(Section):
     @property
     def also(self) -> tuple[AlsoTuned, ...]:
         """The further numbers that are tuned, without defaults that have no effect here."""
-        return with_effect(self._places(), self.parameters.also, needless=_BY_DEFAULT)
+        places, asked = self._places(), self.parameters.also
+        return tuple(one for one in asked if one.key in places or one not in _BY_DEFAULT)
 
     @property
     def default_also(self) -> tuple[AlsoTuned, ...]:
