@@ -21,7 +21,6 @@ from posegsa.filters.base import (
     Samples,
     check_filter,
     elementwise,
-    samples_of,
     sensors_in,
     sensors_of,
 )
@@ -428,25 +427,3 @@ def _step(
     since_start = jnp.asarray(time, measurement.time_step.dtype)
     now = Samples(since_start, filter.prepare(measurement), None)
     return stepped(filter.ready(), state, now)
-
-
-def run_filter(filter: Filter, measurements: Measurements, initial: FilterState) -> Estimates:
-    """Run a filter over a whole sequence of your own measurements.
-
-    Args:
-        filter: for example `Observer(schedule)`.
-        measurements: N samples (`posegsa.model.measurements`).
-        initial: the estimate at the first sample (`posegsa.initial_state`); the vectors' biases, if
-            they are estimated, start at 0.
-
-    Raises:
-        ArgumentError: An argument has the wrong type, or the filter needs the true pose.
-        MeasurementError: `Measurements.from_arrays` would reject the measurements.
-    """
-    check_filter("filter", filter)
-    check_type("measurements", measurements, Measurements)
-    check_type("initial", initial, FilterState)
-    with fitting("run_filter"):
-        measurements = measurements.checked()
-        started(filter, initial, sensors_of(measurements))
-        return simulate(filter, samples_of(filter, measurements), initial)
