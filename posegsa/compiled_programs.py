@@ -41,8 +41,12 @@ def enable_compilation_cache() -> None:
     least = min(LEAST_SECONDS, config.jax_persistent_cache_min_compile_time_secs)
     if not given or not _BUCKET.match(given.removeprefix(_LOCAL)):
         try:
-            # Resolve links once: a link could be changed after the check.
-            folder = (Path(given.removeprefix(_LOCAL)) if given else _own_folder()).resolve()
+            if given:
+                folder = Path(given.removeprefix(_LOCAL))
+            else:  # a user without a home is a RuntimeError
+                caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+                folder = caches / "posegsa"
+            folder = folder.resolve()  # links only once: one could be changed after the check
             _make_own(folder)
         except (OSError, RuntimeError) as error:
             config.update("jax_enable_compilation_cache", False)
@@ -54,15 +58,6 @@ def enable_compilation_cache() -> None:
             least = math.inf  # store nothing; otherwise JAX would warn for each program
             _say_not_kept(f"{folder} can only be read")
     config.update("jax_persistent_cache_min_compile_time_secs", least)
-
-
-def _own_folder() -> Path:
-    """The user's cache folder.
-
-    Raises:
-        RuntimeError: The user has no home.
-    """
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "posegsa"
 
 
 def _make_own(folder: Path) -> None:

@@ -131,7 +131,8 @@ class PoseFilter:
             if landmark_references is None:
                 landmark_references = np.array(known.landmarks)
         self._attitude_only = known is not None and known.attitude_only
-        self._inertial = _is_inertial(source)
+        kind = source.filter.kind if isinstance(source, Result) else None
+        self._inertial = kind == "imu" or isinstance(source, AttitudeFilter)
         if self._inertial:
             self._attitude_only = True
             if vector_references is None:
@@ -146,7 +147,10 @@ class PoseFilter:
             filter = _tuned(source, len(vectors), len(landmarks))
         else:
             filter = _by_hand(source)
-        of_vectors, of_landmarks = _weights(filter)
+        of_vectors = of_landmarks = None  # only an observer has weights
+        if isinstance(filter, Observer):
+            settings = filter.settings
+            of_vectors, of_landmarks = settings.vectors.weights, settings.landmark_weights
         self._vectors = StreamedSensors("vector", vectors, vector_weights, of_vectors)
         self._landmarks = StreamedSensors("landmark", landmarks, landmark_weights, of_landmarks)
         self._dtype, self._kind = _dtype_of(filter), type(filter).__name__
@@ -241,7 +245,7 @@ class PoseFilter:
         sample = [
             *([self._time, dt], omega, v),
             *(vectors_seen.ravel(), vector_factors, landmarks_seen.ravel(), landmark_factors),
-        ]  # in the order of OnlineSample
+        ]  # the time, then in the order of Measurements
         if not np.isnan(before).all():
             record = self._loop(before, np.concatenate(sample).astype(self._dtype))
             self._check_estimate(record)
@@ -456,21 +460,12 @@ class PoseFilter:
         )
         if np.count_nonzero(of_vectors) + np.count_nonzero(of_landmarks) < 2:
             return None  # too few; and nothing is compiled for a filter without sensors
-        still = np.zeros((1, 3))
-        one = {
-            "time_step": np.ones(1),
-            "angular_velocity": still,
-            "velocity": still,
-            "vectors": vectors[None],
-            "vector_references": self._vectors.references[None],
-            "vector_weights": of_vectors[None],
-            "landmarks": landmarks[None],
-            "landmark_references": self._landmarks.references[None],
-            "landmark_weights": of_landmarks[None],
-        }
+        still = np.zeros(3)
+        v, p = self._vectors.references, self._landmarks.references
+        sensors = vectors, v, of_vectors, landmarks, p, of_landmarks
+        rows = [np.asarray(a)[None] for a in (1.0, still, still, *sensors)]
         with jax.enable_x64(self._dtype == np.float64):
-            fields = {name: jnp.asarray(a, self._dtype) for name, a in one.items()}
-            found = _first_pose(Measurements(**fields))
+            found = _first_pose(Measurements(*(jnp.asarray(a, self._dtype) for a in rows)))
         return None if int(found.sample) else (np.array(found.rotation), np.array(found.position))
 
     def _state(
@@ -555,24 +550,10 @@ def _by_hand(source: Any) -> Filter:
         return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf, dtype)), source)
 
 
-def _weights(filter: Filter) -> tuple[tuple[Any, ...] | None, tuple[Any, ...] | None]:
-    """An observer's weights of the vectors and of the landmarks; other filters have none."""
-    if not isinstance(filter, Observer):
-        return None, None
-    return filter.settings.vectors.weights, filter.settings.landmark_weights
-
-
 def _dtype_of(filter: Filter) -> np.dtype:
     """The widest floating-point type of a filter's arrays, at least float32."""
     dtypes = (leaf.dtype for leaf in jax.tree.leaves(filter) if hasattr(leaf, "dtype"))
     return np.result_type(np.float32, *(dtype for dtype in dtypes if dtype.kind == "f"))
-
-
-def _is_inertial(source: Any) -> bool:
-    """Whether a source is the attitude filter, which reads raw inertial sensors."""
-    if isinstance(source, Result):
-        return source.filter.kind == "imu"
-    return isinstance(source, AttitudeFilter)
 
 
 def _number(value: Any) -> float:

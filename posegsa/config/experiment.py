@@ -1,7 +1,8 @@
 """The whole experiment, with the sections for running, filtering and judging."""
 
-from collections.abc import Iterable, Iterator
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -29,7 +30,6 @@ from posegsa.config.tunable import (
     also_conflicts,
     is_stated,
     tunable,
-    with_effect,
     with_numbers,
 )
 from posegsa.optimisers import OPTIMISERS, DifferentialEvolution, Optimiser
@@ -175,7 +175,8 @@ class Experiment(Section):
     @property
     def also(self) -> tuple[AlsoTuned, ...]:
         """The further numbers that are tuned, without defaults that have no effect here."""
-        return with_effect(self._places(), self.parameters.also, needless=_BY_DEFAULT)
+        places, asked = self._places(), self.parameters.also
+        return tuple(one for one in asked if one.key in places or one not in _BY_DEFAULT)
 
     @property
     def default_also(self) -> tuple[AlsoTuned, ...]:
@@ -203,36 +204,36 @@ class Experiment(Section):
         Raises:
             ConfigError: The result is not a valid experiment.
         """
-        data, refused = with_values(self.model_dump(mode="json"), self.search, values.items())
-        if refused:
-            raise violations_error("values that cannot be replaced", refused)
-        try:
-            return type(self).with_or_without_tuned(data, values)
-        except ValidationError as error:
-            title = "not a valid experiment with these values"
-            raise config_error(title, error, type(self)) from None
+        titles = "values that cannot be replaced", "not a valid experiment with these values"
+        return self.with_changes(list(values.items()), titles)
 
-    @classmethod
-    def with_or_without_tuned(cls, data: dict[str, Any], changed: Iterable[str]) -> Self:
-        """The experiment of changed data, without [tuned] if its numbers no longer fit.
+    def with_changes(
+        self,
+        changes: Sequence[tuple[str, object]],
+        titles: tuple[str, str],
+        unread: Iterable[Violation] = (),
+    ) -> Self:
+        """A checked copy with other values, without [tuned] if its numbers no longer fit.
 
         Args:
-            data: Plain data of a whole experiment.
-            changed: Paths of the changed values; a [tuned] that is among them is kept, and so may
-                be refused.
+            changes: Paths and new values; a [tuned] that is among them is kept, and so may be
+                refused.
+            titles: Titles of the errors: for values that cannot be set, for an invalid result.
+            unread: What could not be read, refused together with values that cannot be set.
 
         Raises:
-            ValidationError: The data are not an experiment.
+            ConfigError: The result is not a valid experiment.
         """
+        data, refused = with_values(self.model_dump(mode="json"), self.search, changes)
+        if refused := [*unread, *refused]:
+            raise violations_error(titles[0], refused)
         try:
-            return cls.model_validate(data)
+            return type(self).model_validate(data)
         except ValidationError as error:
-            if any(path.partition(".")[0] == "tuned" for path in changed):
-                raise
-            try:
-                return cls.model_validate(data | {"tuned": {}})
-            except ValidationError:
-                raise error from None
+            if not any(path.partition(".")[0] == "tuned" for path, _ in changes):
+                with suppress(ValidationError):
+                    return type(self).model_validate(data | {"tuned": {}})
+            raise config_error(titles[1], error, type(self)) from None
 
     def _conflicts_of_bounds(self) -> Iterator[Violation]:
         """Conflicts that arise if all further tuned numbers are at their lower or upper bounds."""

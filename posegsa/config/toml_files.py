@@ -12,11 +12,9 @@ from pydantic import ValidationError
 
 from posegsa.arguments import check_type, several
 from posegsa.config import shipped
-from posegsa.config.changes import with_values
 from posegsa.config.experiment import Experiment
 from posegsa.config.reading import read_toml
 from posegsa.config.tunable import with_numbers
-from posegsa.optimisers import Optimiser
 from posegsa.settings.violations import Violation, config_error, violations_error
 
 _BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_+/-]*")
@@ -91,16 +89,11 @@ def override(experiment: Experiment, settings: Iterable[str]) -> Experiment:
     """
     check_type("experiment", experiment, Experiment)
     settings = several("settings", settings, str, "texts such as filter.substeps=4")
-    data = experiment.model_dump(mode="json")
-    data, refused = _with_settings(data, experiment.search, settings)
-    if refused:
-        raise violations_error("settings that cannot be applied", refused)
-    try:
-        named = [text.partition("=")[0].strip() for text in settings]
-        return Experiment.with_or_without_tuned(data, named)
-    except ValidationError as error:
-        title = "not a valid experiment with these settings"
-        raise config_error(title, error, Experiment) from None
+    parsed = [_parsed(text) for text in settings]
+    unread = [one for one in parsed if isinstance(one, Violation)]
+    changes = [one for one in parsed if not isinstance(one, Violation)]
+    titles = "settings that cannot be applied", "not a valid experiment with these settings"
+    return experiment.with_changes(changes, titles, unread)
 
 
 def values_of(text: str) -> tuple[str, list[Any]]:
@@ -156,17 +149,6 @@ def _validated(data: object, title: str) -> Experiment:
         return Experiment.model_validate(data)
     except ValidationError as error:
         raise config_error(title, error, Experiment) from None
-
-
-def _with_settings(
-    data: dict[str, Any], search: Optimiser, settings: Iterable[str]
-) -> tuple[dict[str, Any], list[Violation]]:
-    """Plain data with the settings applied, and those that cannot be."""
-    parsed = [_parsed(text) for text in settings]
-    violations = [one for one in parsed if isinstance(one, Violation)]
-    values = [one for one in parsed if not isinstance(one, Violation)]
-    data, refused = with_values(data, search, values)
-    return data, [*violations, *refused]
 
 
 def _parsed(text: str) -> tuple[str, Any] | Violation:

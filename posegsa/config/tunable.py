@@ -103,13 +103,6 @@ def _may_hold_tunable(annotation: Any) -> bool:
     return any(map(_may_hold_tunable, get_args(annotation)))
 
 
-def with_effect(
-    places: Places, also: tuple[AlsoTuned, ...], needless: tuple[AlsoTuned, ...]
-) -> tuple[AlsoTuned, ...]:
-    """The numbers to tune, without those in `needless` that have no effect."""
-    return tuple(one for one in also if one.key in places or one not in needless)
-
-
 def is_stated(section: Any, key: str) -> bool:
     """Whether a user has set the number with this key."""
     for name in key.split("."):

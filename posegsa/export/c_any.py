@@ -22,6 +22,7 @@ from posegsa.export.c_step import (
     Piece,
     References,
     directions_of,
+    estimate_in_c,
     known_places,
     numbered,
     one_measurement,
@@ -105,7 +106,7 @@ def any_filter(
         filter = _with_written_schedules(filter)
     v, p = known_places(vectors, landmarks)
     with jax.enable_x64(True):
-        known, crossed = _references(_in_float64(filter), v, p)
+        known, crossed = _references(jax.tree.map(_wide, filter), v, p)
     step = _Step(filter, known, crossed)
     states, start = 0, {}
     if isinstance(filter, KalmanFilter):
@@ -144,7 +145,7 @@ class _Step:
         assert len(leaves) == len(self.numbers)
         self._given = [number for number, _ in self.numbers]
         with jax.enable_x64(True), fitting("filter_to_c: filter"):
-            wide = _in_float64(filter)
+            wide = jax.tree.map(_wide, filter)
             zero = jnp.zeros(())
             initial = _initial(zero, zero + 1)
             state = jax.eval_shape(lambda start: started(wide, start, self._sensors), initial)
@@ -157,7 +158,7 @@ class _Step:
         self.learnt = len(estimate.vector_biases)
         self.turning = len(estimate.turning) > 0
         self._structure = jax.tree.structure(state)
-        names = _estimate_in_c("->", self.learnt, self.turning)
+        names = estimate_in_c("->", self.learnt, self.turning)
         if self.alone:
             names = names._replace(place=_NO_FIELD, bias_linear=_NO_FIELD)
         leaves = jax.tree.leaves(names)
@@ -187,7 +188,7 @@ class _Step:
                 f"filter: its estimate has biases of {count} vectors",
                 f"those of {self._vectors} vectors, or of none",
             )
-        expected = _estimate_in_c("", count, len(estimate.turning) > 0)
+        expected = estimate_in_c("", count, len(estimate.turning) > 0)
         if jax.tree.structure(estimate) != jax.tree.structure(expected):
             refuse("filter: its estimate has another number of components", "a FilterState")
 
@@ -322,10 +323,6 @@ def _gain_at(lines: list[tuple[float, float, float]], inputs: ScheduleInputs) ->
     return Gains(jnp.exp(log_gain))
 
 
-def _in_float64(filter: Filter) -> Filter:
-    return jax.tree.map(_wide, filter)
-
-
 def _wide(leaf: ArrayLike) -> Array:
     return jnp.asarray(np.asarray(leaf, np.float64))
 
@@ -334,18 +331,6 @@ def _initial(zero: Any, one: Any) -> FilterState:
     """An estimate at the origin."""
     zeros = (zero, zero, zero)
     return FilterState((one, zero, zero, zero), zeros, zeros, zeros)
-
-
-def _estimate_in_c(pointer: str, learnt: int, turning: bool) -> FilterState:
-    """The estimate with its fields of the struct."""
-    return FilterState(
-        attitude=numbered(f"{pointer}attitude", 4),
-        place=vec3(f"{pointer}position"),
-        bias_angular=vec3(f"{pointer}bias_angular"),
-        bias_linear=vec3(f"{pointer}bias_linear"),
-        vector_biases=tuple(vec3(f"{pointer}vector_bias[{i}]") for i in range(learnt)),
-        turning=vec3(f"{pointer}turning") if turning else (),
-    )
 
 
 def _words(path: Any) -> str:

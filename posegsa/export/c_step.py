@@ -290,7 +290,9 @@ class Step:
         if self.unknown:
             self._piece(
                 *("know", "the unknown share of the biases after the sample"),
-                _still_unknown,
+                lambda memory, sample, seen, used, signal, share: (
+                    still_unknown(memory, seen, learning_time(sample, used, share), signal).unknown,
+                ),
                 (self._memory("next"), sample, seen, "w->used", self._signal, self._share),
                 ("next->unknown",),
             )
@@ -324,18 +326,10 @@ class Step:
         return "w->share" if self.waits else None
 
     def _state(self, pointer: str) -> FilterState:
-        alone = self.attitude_only
-        return FilterState(
-            attitude=numbered(f"{pointer}->attitude", 4),
-            place=_NOTHING if alone else vec3(f"{pointer}->position"),
-            bias_angular=vec3(f"{pointer}->bias_angular"),
-            bias_linear=_NOTHING if alone else vec3(f"{pointer}->bias_linear"),
-            vector_biases=self._each_vector(f"{pointer}->vector_bias") if self.learns else (),
-            turning=vec3(f"{pointer}->turning") if self.learns else (),
-        )
-
-    def _each_vector(self, array: str) -> tuple[Any, ...]:
-        return tuple(vec3(f"{array}[{i}]") for i in range(self.vectors))
+        whole = estimate_in_c(f"{pointer}->", self.vectors if self.learns else 0, self.learns)
+        if self.attitude_only:
+            return whole._replace(place=_NOTHING, bias_linear=_NOTHING)
+        return whole
 
     def _sample(self) -> Sample:
         return sample_of(
@@ -355,7 +349,9 @@ class Step:
                 curvature=_scalar("w->curvature" if some else 0.0),
                 scale=_scalar("w->scale" if some else 0.0),
             ),
-            freed=self._each_vector("w->freed") if self.learns else (_NOTHING,) * self.vectors,
+            freed=tuple(
+                vec3(f"w->freed[{i}]") if self.learns else _NOTHING for i in range(self.vectors)
+            ),
             landmark_weights=numbered("w->landmark_weights", self._landmarks),
         )
 
@@ -368,6 +364,18 @@ class Step:
             time_step=_scalar(f"{pointer}->since_last"),
             unknown=_scalar(f"{pointer}->unknown") if self.unknown else (),
         )
+
+
+def estimate_in_c(pointer: str, learnt: int, turning: bool) -> FilterState:
+    """An estimate with the fields of the struct in C, of so many vectors' biases."""
+    return FilterState(
+        attitude=numbered(f"{pointer}attitude", 4),
+        place=vec3(f"{pointer}position"),
+        bias_angular=vec3(f"{pointer}bias_angular"),
+        bias_linear=vec3(f"{pointer}bias_linear"),
+        vector_biases=tuple(vec3(f"{pointer}vector_bias[{i}]") for i in range(learnt)),
+        turning=vec3(f"{pointer}turning") if turning else (),
+    )
 
 
 def sample_of(
@@ -482,19 +490,6 @@ def _signal(
     )
     share = bias_share(after, laws, settings)
     return (inputs.error, inputs.rate), after, () if share is None else (share,)
-
-
-def _still_unknown(
-    memory: SignalMemory,
-    sample: Sample,
-    seen: Seen,
-    used: Any,
-    settings: SignalSettings,
-    share: Any,
-) -> tuple[Any]:
-    """The unknown share of the biases after the sample."""
-    passed = learning_time(sample, used, share)
-    return (still_unknown(memory, seen, passed, settings).unknown,)
 
 
 def _correct(

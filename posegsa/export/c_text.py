@@ -121,7 +121,7 @@ def worth(result: Result) -> list[str]:
         "It was not judged for this file. What the configurations that posegsa brings are worth is "
         "in its documentation, docs/which_filter.md and docs/imu.md."
     )
-    lines += _warnings(result)
+    lines += [line for one in result.warnings() for line in wrapped(f"WARNING: {one}.")]
     origins = [] if on is None else on.origins().splitlines()
     return lines + [part for line in origins for part in wrapped(line)]
 
@@ -142,10 +142,6 @@ def _on_scenarios(result: Result, judged: OnScenarios) -> list[str]:
         "over the held-out ones."
     )
     return [*text_table(rows).splitlines(), *wrapped(words), *wrapped(judged.too_sure())]
-
-
-def _warnings(result: Result) -> list[str]:
-    return [line for one in result.warnings() for line in wrapped(f"WARNING: {one}.")]
 
 
 def settings_of(section: Section, without: Collection[str] = ()) -> list[str]:

@@ -422,13 +422,21 @@ class AttitudeFilter:
         noise = numbers.heading * numbers.heading + seen * tilted
         behind = choose(f[0] >= 0, jnp.ones_like(dt), -1.0)
         found = corrected(found, UP, choose(f[1] > 0, f[0] / safe, behind), noise, seen)
-        found = only_if(rests, lambda found: self._at_rest(found, omega, span), found)
+
+        def at_rest(found: Found) -> Found:
+            """After what the gyroscope measures of its bias."""
+            noise = numbers.rest_bias * numbers.rest_bias
+            for i in range(3):
+                found = corrected(found, BIAS + i, omega[i], noise, span)
+            return found
+
+        found = only_if(rests, at_rest, found)
         covariance, x = found
         angle = (x[0], x[1], x[2])
         # The rotation by 2 atan(|x| / 2) about x: to third order that by x, without a series.
         cosine = 1 / jnp.sqrt(1 + 0.25 * dot(angle, angle))
         sine = 0.5 * cosine
-        q = compose((cosine, *scale(sine, _out(axes, angle))), q)
+        q = compose((cosine, *scale(sine, unrotate(axes, angle))), q)
         bias = _within(add(bias, (x[3], x[4], x[5])), LARGEST_BIAS)
         v = state.velocity[0] + x[6], state.velocity[1] + x[7]
         f = rotate(rows((cosine, *scale(sine, angle))), f)
@@ -474,19 +482,6 @@ class AttitudeFilter:
         )
         lost = upwards < UPSIDE_DOWN
         return _anew(after, paused, lost, numbers.initial_bias), Record()
-
-    def _at_rest(self, found: Found, omega: Vec3, dt: Array) -> Found:
-        """After what the gyroscope measures of its bias at rest.
-
-        Args:
-            found: before it.
-            omega: angular velocity without its bias [rad/s].
-            dt: to the next sample [s].
-        """
-        noise = self.numbers.rest_bias * self.numbers.rest_bias
-        for i in range(3):
-            found = corrected(found, BIAS + i, omega[i], noise, dt)
-        return found
 
     def _with_field(
         self,
@@ -631,11 +626,6 @@ def _in(axes: Matrix3, R: Matrix3) -> Matrix3:
     return east, north, up
 
 
-def _out(axes: Matrix3, a: Vec3) -> Vec3:
-    """A vector by east, north, up in the inertial frame."""
-    return unrotate(axes, a)
-
-
 def _unit(a: Vec3) -> Vec3:
     square = dot(a, a)
     return scale(1 / safe_sqrt(choose(square > 0, square, 1.0)), a)
@@ -715,13 +705,9 @@ def _set(
 
 def _if(condition: Array, q: Quaternion) -> Quaternion:
     """The rotation q where the condition holds, else the identity."""
-    w, x, y, z = q
-    return (
-        choose(condition, w, 1.0),
-        choose(condition, x, 0.0),
-        choose(condition, y, 0.0),
-        choose(condition, z, 0.0),
-    )
+    identity = (1.0, 0.0, 0.0, 0.0)
+    w, x, y, z = (choose(condition, s, same) for s, same in zip(q, identity, strict=True))
+    return w, x, y, z
 
 
 def _stillness(

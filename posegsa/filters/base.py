@@ -39,6 +39,8 @@ class Samples(NamedTuple):
     truth: TruePose | None
     """Components (N,); None if only the measurements are known. Only filters for simulations may
     read it."""
+    known: Any = None
+    """What only the clairvoyant knows (`filters.clairvoyant.KnownMotion`); None for all others."""
 
 
 class Sensors(NamedTuple):

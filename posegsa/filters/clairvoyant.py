@@ -11,23 +11,18 @@ are inverse variances (`model.events`). A jump exp(xi^) follows the velocity of 
     T_est <- T_est exp(xi^),    Sigma <- A Sigma A^T,    A = Ad(exp(-xi^)).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple, Self, cast
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from posegsa.filters.base import Record, Samples, Sensors
+from posegsa.filters.base import Record, Samples
 from posegsa.filters.kalman import KalmanFilter, KalmanNoise, KalmanState, propagate, update
-from posegsa.filters.uncertainty import PoseCovariance
-from posegsa.model.estimate import FilterState
 from posegsa.model.events import Events
-from posegsa.model.measurements import Measurements
 from posegsa.model.sample import Sample
 from posegsa.model.se3 import Vec3, add, scale, unstack
-from posegsa.model.signal import TruePose
 
 JUMP_TIME = 1e-9
 """Time in which a jump happens [s]: long enough for float32, too short for a bias to act."""
@@ -49,15 +44,6 @@ class KnownMotion(NamedTuple):
     None if the body never jumps."""
 
 
-class ClairvoyantSamples(NamedTuple):
-    """`Samples` with what the clairvoyant knows besides."""
-
-    time: Array
-    sample: Sample
-    truth: TruePose | None
-    known: KnownMotion
-
-
 def with_events(samples: Samples, events: Events, walk: Array, *, jumps: bool) -> Samples:
     """The clairvoyant's input: samples of weighted measurements, and what it knows besides.
 
@@ -76,39 +62,23 @@ def with_events(samples: Samples, events: Events, walk: Array, *, jumps: bool) -
         linear_walk=jnp.full_like(root, walk[3]),
         jump=((tx, ty, tz), (x, y, z)) if jumps else None,
     )
-    # The loop passes each sample on unchanged; only this filter reads the additional field.
-    return cast(Samples, ClairvoyantSamples(*samples, known))
+    return samples._replace(known=known)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Clairvoyant:
-    """The Kalman filter that knows everything (`filters.base.Filter`, with input `with_events`)."""
+class Clairvoyant(KalmanFilter):
+    """The Kalman filter that knows everything (`filters.base.Filter`, with input `with_events`).
 
-    elementwise: ClassVar[bool] = True
-    noise: KalmanNoise
-    """Deviations at the start and the walk of the vectors' biases; `vector` and `landmark` are 1,
-    and those of `KnownMotion` are not used."""
+    Of its `noise` the deviations at the start and the walk of the vectors' biases are used;
+    `vector` and `landmark` are 1, and those of `KnownMotion` take the place of the others.
+    """
 
-    def with_values(self, values: Mapping[str, Array]) -> Self:
-        """The same with some deviations replaced, by their names in `KalmanNoise`."""
-        return replace(self, noise=KalmanFilter(self.noise).with_values(values).noise)
-
-    def prepare(self, measurements: Measurements) -> Sample:
-        """Each vector as measured, and landmarks."""
-        return KalmanFilter(self.noise).prepare(measurements)
-
-    def start(self, initial: FilterState, sensors: Sensors) -> KalmanState:
-        """The state before the first sample; `initial` holds the true pose."""
-        return KalmanFilter(self.noise).start(initial, sensors)
-
-    def ready(self) -> "Clairvoyant":
-        """The filter itself; there is nothing to precompute."""
-        return self
+    elementwise = KalmanFilter.elementwise
 
     def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
         """One sample: update, propagation by the velocities, and the jump, if there is one."""
-        known = cast(ClairvoyantSamples, now).known
+        known: KnownMotion = now.known
         noise = self.noise._replace(
             angular_velocity=known.angular_velocity,
             velocity=known.velocity,
@@ -120,14 +90,6 @@ class Clairvoyant:
         if known.jump is not None:
             moved = _jumped(moved, now.sample, *known.jump)
         return moved, Record(nis=found.nis, scalars=found.scalars)
-
-    def estimate(self, state: KalmanState) -> FilterState:
-        """Pose and biases."""
-        return state.estimate
-
-    def pose_covariance(self, state: KalmanState) -> PoseCovariance:
-        """The covariance of the pose error."""
-        return KalmanFilter(self.noise).ready().pose_covariance(state)
 
 
 def _jumped(state: KalmanState, sample: Sample, turn: Vec3, displacement: Vec3) -> KalmanState:

@@ -58,7 +58,7 @@ attitude by biases. With up to ten linearisations it converges from such starts,
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, cast
 
 import jax
 import jax.numpy as jnp
@@ -110,7 +110,7 @@ from posegsa.model.elementwise import as_long_as, choose, maximum
 from posegsa.model.estimate import FilterState
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import LandmarkSample, Sample, prepare
-from posegsa.model.schedules import PreparedSchedule, all_elementwise
+from posegsa.model.schedules import PreparedSchedule, all_elementwise, prepared
 from posegsa.model.se3 import (
     Vec3,
     add,
@@ -296,47 +296,18 @@ class KalmanFilter:
         last = () if self.leads is None else no_sample(like)
         return KalmanState(estimate, covariance, memory, last)
 
-    def ready(self) -> "ReadyKalmanFilter":
-        """The filter with its schedules prepared (slopes and overlaps of the terms)."""
-        unknown, vectors, landmarks = (
-            None if one is None else one.prepare() for one in self.schedule
-        )
-        return ReadyKalmanFilter(
-            self.noise,
-            unknown,
-            (vectors, landmarks),
-            self.signals,
-            self.belief_input,
-            self.iterations,
-            self.reset,
-            self.leads,
-            (self.vector_scales, self.landmark_scales),
-        )
-
-
-class ReadyKalmanFilter(NamedTuple):
-    """A `KalmanFilter` prepared for the loop."""
-
-    noise: KalmanNoise
-    unknown: PreparedSchedule | None
-    """The schedule of that role (`NoiseGains`)."""
-    beliefs: tuple[PreparedSchedule | None, PreparedSchedule | None]
-    """The schedules of belief in vectors and in landmarks."""
-    signals: NoiseSignals | None
-    belief_input: BeliefInput
-    iterations: int
-    reset: Reset
-    leads: Leads | None
-    scales: tuple[tuple[float, ...], tuple[float, ...]]
-    """Multiples of the noise of vectors and of landmarks."""
+    def ready(self) -> Self:
+        """The filter for `step`, its schedules prepared (slopes and overlaps of the terms)."""
+        return replace(self, schedule=NoiseGains(*prepared(self.schedule)))
 
     def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
         """One sample: update by vectors and landmarks, then propagation by the velocities."""
         if self.leads is not None and state.last:
             ahead, last = extrapolated(now.sample, state.last, self.leads)
             now, state = now._replace(sample=ahead), state._replace(last=last)
-        if any(self.scales):
-            now = now._replace(sample=_scaled(now.sample, *self.scales))
+        if self.vector_scales or self.landmark_scales:
+            scaled = _scaled(now.sample, self.vector_scales, self.landmark_scales)
+            now = now._replace(sample=scaled)
         sample, noise, record = now.sample, self.noise, Record()
         if self.signals is not None:
             sample, noise, memory, record = self._scheduled(self.signals, state, now)
@@ -344,7 +315,7 @@ class ReadyKalmanFilter(NamedTuple):
         updated, found = update(state, sample, noise, self.iterations)
         record = record._replace(nis=found.nis, scalars=found.scalars)
         after = propagate(updated, found.correction, sample, noise, self.reset)
-        if self.unknown is not None and after.estimate.vector_biases:
+        if self.schedule.unknown is not None and after.estimate.vector_biases:
             after = forgotten(after, sample.time_step, self.noise, noise.vector_walk)
         return after, record
 
@@ -362,12 +333,16 @@ class ReadyKalmanFilter(NamedTuple):
         """The sample with the weights that its residuals leave, the noises, and the memory."""
         sample, noise, memory = now.sample, self.noise, state.memory
         on_time, record = (now.time, sample.time_step), Record()
-        if any(self.beliefs):
-            sample, memory = self._believed(signals, state, sample, on_time)
-        if self.unknown is not None and memory.unknown:
+        of_noise, *beliefs = cast(Sequence[PreparedSchedule | None], self.schedule)
+        if any(beliefs):
+            known = state.estimate, state.covariance, sample, noise.vector, noise.landmark
+            each, before = residuals(*known, of=self.belief_input), BeliefMemory(*memory[1:])
+            factors, after = belief_factors(beliefs, signals.belief, before, each, *on_time)
+            sample, memory = as_believed(sample, factors), KalmanMemory(memory.unknown, *after)
+        if of_noise is not None and memory.unknown:
             error, seen = measured_error(state.estimate, sample, noise.vector, noise.landmark)
             factor, unknown, inputs = noise_factor(
-                self.unknown, signals.unknown, memory.unknown, error, seen, *on_time
+                of_noise, signals.unknown, memory.unknown, error, seen, *on_time
             )
             noise = noise._replace(
                 angular_velocity=factor * noise.angular_velocity,
@@ -377,21 +352,6 @@ class ReadyKalmanFilter(NamedTuple):
             memory = memory._replace(unknown=unknown)
             record = Record(error=inputs.error, rate=inputs.rate)
         return sample, noise, memory, record
-
-    def _believed(
-        self,
-        signals: NoiseSignals,
-        state: KalmanState,
-        sample: Sample,
-        on_time: tuple[Array, Array],
-    ) -> tuple[Sample, KalmanMemory]:
-        """The sample with the weights that its residuals leave, and the memory of belief."""
-        noise, memory = self.noise, state.memory
-        known = state.estimate, state.covariance, sample, noise.vector, noise.landmark
-        each = residuals(*known, of=self.belief_input)
-        before = BeliefMemory(*memory[1:])
-        factors, after = belief_factors(self.beliefs, signals.belief, before, each, *on_time)
-        return as_believed(sample, factors), KalmanMemory(memory.unknown, *after)
 
 
 def _scaled(sample: Sample, vectors: Sequence[float], landmarks: Sequence[float]) -> Sample:

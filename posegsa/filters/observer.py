@@ -107,9 +107,9 @@ from posegsa.model.sample import Sample, Seen, prepare, seen_from_estimate
 from posegsa.model.schedules import (
     Gains,
     GainSchedule,
-    PreparedSchedule,
     all_elementwise,
     check_schedule,
+    prepared,
 )
 from posegsa.model.se3 import (
     Vec3,
@@ -531,52 +531,6 @@ class ObserverState(NamedTuple):
     """Memory of belief in each sensor."""
 
 
-class ReadyObserver(NamedTuple):
-    """The observer for the loop."""
-
-    schedule: PreparedSchedule
-    settings: FilterSettings
-    signal: SignalSettings
-    beliefs: tuple[PreparedSchedule | None, PreparedSchedule | None] = (None, None)
-    """The schedules of belief in vectors and in landmarks."""
-    belief: BeliefSettings | None = None
-
-    def step(self, state: ObserverState, now: Samples) -> tuple[ObserverState, Record]:
-        """One sample: belief, error signal, gains, and the step of pose and biases."""
-        beliefs, believed = state.beliefs, ()
-        if self.belief is not None and any(self.beliefs):
-            vector, landmark = self.belief.vector, self.belief.landmark
-            each = residuals(state.estimate, None, now.sample, vector, landmark)
-            factors, beliefs = belief_factors(
-                *(self.beliefs, self.belief.signal, beliefs, each),
-                *(now.time, now.sample.time_step),
-            )
-            largest = jnp.broadcast_to(self.belief.signal.largest, now.sample.time_step.shape)
-            factors = over_the_least(factors, now.sample, largest)
-            now = now._replace(sample=as_believed(now.sample, factors))
-            believed = factors.vectors or ()
-        seen = see(state.estimate, now.sample, self.settings)
-        if self.signal.signal == "pose":
-            errors = Measured(*pose_errors(state.estimate, now.truth), True, True)
-        else:
-            errors = measured_errors(state.estimate, now.sample, seen)
-        gains, inputs, memory = scheduled_gain(
-            self.schedule, state.memory, errors, now.time, now.sample.time_step, self.signal
-        )
-        share = bias_share(memory, self.settings, self.signal)
-        estimate, used = observe(
-            state.estimate, now.sample, seen, gains, self.settings, share, believed
-        )
-        memory = still_unknown(memory, seen, learning_time(now.sample, used, share), self.signal)
-        return ObserverState(estimate, memory, beliefs), Record(
-            gain=gains.gain, gain_used=used, error=inputs.error, rate=inputs.rate
-        )
-
-    def estimate(self, state: ObserverState) -> FilterState:
-        """Pose and biases."""
-        return state.estimate
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Observer:
@@ -664,13 +618,45 @@ class Observer:
         memory = initial_memory(gain, like, self.signal.unknown)
         return ObserverState(initial, memory, initial_beliefs(beliefs, sensors, like))
 
-    def ready(self) -> ReadyObserver:
-        """The observer with its schedules prepared (slopes and overlaps of the terms)."""
-        gain, *beliefs = self._chosen
-        vectors, landmarks = (None if one is None else one.prepare() for one in beliefs)
-        return ReadyObserver(
-            gain.prepare(), self.settings, self.signal, (vectors, landmarks), self.belief
+    def ready(self) -> Self:
+        """The observer for `step`, its schedules prepared (slopes and overlaps of the terms)."""
+        return replace(self, schedule=ObserverGains(*prepared(self._chosen)))
+
+    def step(self, state: ObserverState, now: Samples) -> tuple[ObserverState, Record]:
+        """One sample: belief, error signal, gains, and the step of pose and biases."""
+        gain, *of_beliefs = cast(Sequence[Any], self._chosen)
+        beliefs, believed = state.beliefs, ()
+        if self.belief is not None and any(of_beliefs):
+            vector, landmark = self.belief.vector, self.belief.landmark
+            each = residuals(state.estimate, None, now.sample, vector, landmark)
+            factors, beliefs = belief_factors(
+                *(of_beliefs, self.belief.signal, beliefs, each),
+                *(now.time, now.sample.time_step),
+            )
+            largest = jnp.broadcast_to(self.belief.signal.largest, now.sample.time_step.shape)
+            factors = over_the_least(factors, now.sample, largest)
+            now = now._replace(sample=as_believed(now.sample, factors))
+            believed = factors.vectors or ()
+        seen = see(state.estimate, now.sample, self.settings)
+        if self.signal.signal == "pose":
+            errors = Measured(*pose_errors(state.estimate, now.truth), True, True)
+        else:
+            errors = measured_errors(state.estimate, now.sample, seen)
+        gains, inputs, memory = scheduled_gain(
+            gain, state.memory, errors, now.time, now.sample.time_step, self.signal
         )
+        share = bias_share(memory, self.settings, self.signal)
+        estimate, used = observe(
+            state.estimate, now.sample, seen, gains, self.settings, share, believed
+        )
+        memory = still_unknown(memory, seen, learning_time(now.sample, used, share), self.signal)
+        return ObserverState(estimate, memory, beliefs), Record(
+            gain=gains.gain, gain_used=used, error=inputs.error, rate=inputs.rate
+        )
+
+    def estimate(self, state: ObserverState) -> FilterState:
+        """Pose and biases."""
+        return state.estimate
 
     @property
     def _chosen(self) -> ObserverGains:

@@ -36,27 +36,6 @@ class OnlineParameters(NamedTuple):
     """(m, 3) p_i [m]."""
 
 
-class OnlineSample(NamedTuple):
-    """One sample, as in `Measurements`, and its time."""
-
-    time: np.ndarray
-    """Time since the first sample [s]."""
-    time_step: np.ndarray
-    """Time to the next sample [s]."""
-    angular_velocity: np.ndarray
-    """(3,) [rad/s], body frame."""
-    velocity: np.ndarray
-    """(3,) [m/s], body frame."""
-    vectors: np.ndarray
-    """(n, 3), body frame; any number except NaN where the weight is 0."""
-    vector_weights: np.ndarray
-    """(n,)"""
-    landmarks: np.ndarray
-    """(m, 3) [m], body frame; any number except NaN where the weight is 0."""
-    landmark_weights: np.ndarray
-    """(m,)"""
-
-
 class OnlineRecord(NamedTuple):
     """The filter after a sample, and its gain there."""
 
@@ -170,7 +149,7 @@ class OnlineLoop:
             return self.record.pack(first, self.dtype)
 
     def __call__(self, record: np.ndarray, sample: np.ndarray) -> np.ndarray:
-        """The packed record after one packed `OnlineSample`, from the record before it."""
+        """The packed record after a packed sample (`_sample_layout`), from the record before it."""
         given = np.concatenate([record[: self._before], sample])
         with jax.enable_x64(self.dtype == np.float64):
             return np.asarray(self._program(given, self._on_device))
@@ -183,19 +162,13 @@ def _made_again(dtype: str, made_of: bytes) -> OnlineLoop:
 
 
 def _sample_layout(vectors: int, landmarks: int) -> Layout:
-    number, vector = np.zeros(()), np.zeros(3)
-    return Layout(
-        OnlineSample(
-            time=number,
-            time_step=number,
-            angular_velocity=vector,
-            velocity=vector,
-            vectors=np.zeros((vectors, 3)),
-            vector_weights=np.zeros(vectors),
-            landmarks=np.zeros((landmarks, 3)),
-            landmark_weights=np.zeros(landmarks),
-        )
-    )
+    """The time since the first sample [s], then one sample of `Measurements` without references.
+
+    A missing vector or landmark may hold any number but NaN.
+    """
+    each = (vectors, 3), None, (vectors,), (landmarks, 3), None, (landmarks,)
+    arrays: Any = [None if shape is None else np.zeros(shape) for shape in ((), (3,), (3,), *each)]
+    return Layout((np.zeros(()), Measurements(*arrays)))
 
 
 @lru_cache(maxsize=32)
@@ -206,20 +179,12 @@ def _compiled(
 
     def step(given: Array, numbers: Array) -> OnlineRecord:
         p = parameters.unpack(numbers)
-        now = sample.unpack(given[state.size :])
-        measurement = Measurements(
-            time_step=now.time_step,
-            angular_velocity=now.angular_velocity,
-            velocity=now.velocity,
-            vectors=now.vectors,
-            vector_references=p.vector_references,
-            vector_weights=now.vector_weights,
-            landmarks=now.landmarks,
-            landmark_references=p.landmark_references,
-            landmark_weights=now.landmark_weights,
+        time, measured = sample.unpack(given[state.size :])
+        measurement = measured._replace(
+            vector_references=p.vector_references, landmark_references=p.landmark_references
         )
         ready = p.filter.ready()
-        samples = Samples(now.time, p.filter.prepare(measurement), None)
+        samples = Samples(time, p.filter.prepare(measurement), None)
         after, record = stepped(ready, state.unpack(given[: state.size]), samples)
         estimate = estimated(ready, after)
         covariance, nis = pose_covariance(ready, after), record.nis

@@ -21,7 +21,6 @@ from posegsa.filters.base import (
     Samples,
     check_filter,
     elementwise,
-    samples_of,
     sensors_in,
     sensors_of,
 )
@@ -234,16 +233,8 @@ def simulate_cost(
         error = sample_error(*pose_errors(view.estimate, view.now.truth), weights)
         return CostParts(total.transient + transient * error, total.steady + steady * error), None
 
-    zero = jnp.zeros_like(initial.place[0])
-    _, parts, _ = run(
-        look,
-        filter,
-        samples,
-        started(filter, initial, sensors_in(samples)),
-        extra=(weights.transient, weights.steady),
-        total=CostParts(zero, zero),
-    )
-    return parts
+    extra = weights.transient, weights.steady
+    return _summed(look, filter, samples, initial, extra, CostParts)
 
 
 def simulate_recorded_cost(
@@ -262,16 +253,18 @@ def simulate_recorded_cost(
             total.attitude + weight * attitude, total.position + weight * dot(off, off)
         ), None
 
-    zero = jnp.zeros_like(initial.place[0])
-    _, squares, _ = run(
-        look,
-        filter,
-        samples,
-        started(filter, initial, sensors_in(samples)),
-        extra=(recorded.weight, recorded.position),
-        total=SquaredErrors(zero, zero),
-    )
+    extra = recorded.weight, recorded.position
+    squares = _summed(look, filter, samples, initial, extra, SquaredErrors)
     return squares.cost(recorded.position_weight)
+
+
+def _summed(
+    look: Look, filter: Filter, samples: Samples, initial: FilterState, extra: Any, kind: Any
+) -> Any:
+    """The sum of two numbers, of this kind, over all samples."""
+    zero = jnp.zeros_like(initial.place[0])
+    state = started(filter, initial, sensors_in(samples))
+    return run(look, filter, samples, state, extra=extra, total=kind(zero, zero))[1]
 
 
 @jax.jit
@@ -434,25 +427,3 @@ def _step(
     since_start = jnp.asarray(time, measurement.time_step.dtype)
     now = Samples(since_start, filter.prepare(measurement), None)
     return stepped(filter.ready(), state, now)
-
-
-def run_filter(filter: Filter, measurements: Measurements, initial: FilterState) -> Estimates:
-    """Run a filter over a whole sequence of your own measurements.
-
-    Args:
-        filter: for example `Observer(schedule)`.
-        measurements: N samples (`posegsa.model.measurements`).
-        initial: the estimate at the first sample (`posegsa.initial_state`); the vectors' biases, if
-            they are estimated, start at 0.
-
-    Raises:
-        ArgumentError: An argument has the wrong type, or the filter needs the true pose.
-        MeasurementError: `Measurements.from_arrays` would reject the measurements.
-    """
-    check_filter("filter", filter)
-    check_type("measurements", measurements, Measurements)
-    check_type("initial", initial, FilterState)
-    with fitting("run_filter"):
-        measurements = measurements.checked()
-        started(filter, initial, sensors_of(measurements))
-        return simulate(filter, samples_of(filter, measurements), initial)

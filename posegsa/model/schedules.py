@@ -266,6 +266,11 @@ SCHEDULES = {
 controller or knots are single numbers; `formula` is what it computes from them."""
 
 
+def prepared(schedules: Iterable[GainSchedule | None]) -> list[Any]:
+    """The schedules prepared for a loop; None stays None."""
+    return [None if one is None else one.prepare() for one in schedules]
+
+
 def all_elementwise(schedules: Iterable[Any]) -> bool:
     """Whether all schedules are posegsa's, which work on numbers and inputs of any common shape.
 

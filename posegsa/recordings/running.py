@@ -11,12 +11,11 @@ from jax.typing import ArrayLike
 
 from posegsa.arguments import check_type, fitting, refuse
 from posegsa.errors import ArgumentError
-from posegsa.filters import rollout
 from posegsa.filters.base import Filter, check_filter, samples_of, sensors_of
 from posegsa.filters.calls import started
 from posegsa.filters.kalman import KalmanFilter
 from posegsa.filters.observer import Observer
-from posegsa.filters.rollout import Estimates, simulate_part
+from posegsa.filters.rollout import Estimates, simulate, simulate_part
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.recordings.bridging import refuse_gaps
@@ -74,7 +73,10 @@ def run_filter(
         measurements = measurements.at_least(dtype)
         dtype = jax.dtypes.canonicalize_dtype(measurements.time_step.dtype)
         widened = jax.tree.map(lambda a: jnp.asarray(a, dtype), initial)
-        return rollout.run_filter(filter, measurements, widened)
+        with fitting("run_filter"):
+            measurements = measurements.checked()
+            started(filter, widened, sensors_of(measurements))
+            return simulate(filter, samples_of(filter, measurements), widened)
     check_filter("filter", filter)
     if isinstance(filter, Observer) and filter.signal.signal == "pose":
         raise ArgumentError('signal "pose" looks at the true pose; allowed: "measured"')

@@ -37,7 +37,7 @@ from posegsa.filters.kalman import KalmanFilter, KalmanNoise
 from posegsa.filters.leads import Leads
 from posegsa.filters.noise_schedules import NoiseGains, NoiseSignal, NoiseSignals
 from posegsa.filters.observer import BeliefSettings, ObserverGains
-from posegsa.filters.rollout import Estimates, run_filter
+from posegsa.filters.rollout import Estimates
 from posegsa.model import sensor_loops
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import prepare
@@ -161,7 +161,7 @@ def in_python(filter: Filter, m: Measurements) -> Estimates:
     with jax.enable_x64(True):
         measured = Measurements.from_arrays(**m._asdict(), dtype=np.float64)
         R = rotation_matrices(START[None, :4])[0]
-        found = run_filter(filter, measured, posegsa.initial_state(R, START[4:]))
+        found = posegsa.run_filter(filter, measured, posegsa.initial_state(R, START[4:]))
         return jax.tree.map(np.asarray, found)
 
 

@@ -19,9 +19,10 @@ from helpers.measurements import reference_sample as sample_of
 from posegsa.errors import ArgumentError
 from posegsa.filters.noise_schedules import NoiseSignal
 from posegsa.filters.observer import BeliefSettings, FilterSettings, Observer, ObserverGains
-from posegsa.filters.rollout import Estimates, run_filter
+from posegsa.filters.rollout import Estimates
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import ConstantGain, GainSchedule, RampGain
+from posegsa.recordings.running import run_filter
 
 pytestmark = pytest.mark.usefixtures("x64")
 

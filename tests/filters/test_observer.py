@@ -47,11 +47,11 @@ from posegsa.config import (
 )
 from posegsa.errors import ArgumentError
 from posegsa.filters.observer import FilterSettings, Observer, bias_gains, see
-from posegsa.filters.rollout import run_filter
 from posegsa.model.estimate import FilterState, initial_state
 from posegsa.model.measurements import Measurements
 from posegsa.model.sample import prepare
 from posegsa.model.schedules import ConstantGain
+from posegsa.recordings.running import run_filter
 from posegsa.search.configured_filters import filter_settings
 
 COUNT = 30

@@ -31,7 +31,6 @@ from posegsa.config import Experiment
 from posegsa.filters.observer import Observer
 from posegsa.filters.rollout import (
     Estimates,
-    run_filter,
     simulate,
     simulate_cost,
     simulate_errors,
@@ -42,6 +41,7 @@ from posegsa.model.scenario import Truth
 from posegsa.model.schedules import ConstantGain, FuzzyGain, GainSchedule, SwitchGain
 from posegsa.model.se3 import Quaternion
 from posegsa.model.signal import SignalSettings
+from posegsa.recordings.running import run_filter
 from posegsa.search.configured_filters import filter_of as observer_of
 from posegsa.search.configured_filters import filter_settings, signal_settings
 from posegsa.search.drawn_scenarios import cost_weights

@@ -19,7 +19,7 @@ from posegsa.config import GainConfig
 from posegsa.errors import ArgumentError
 from posegsa.filters.base import samples_of
 from posegsa.filters.observer import Observer, see
-from posegsa.filters.rollout import run_filter, simulate
+from posegsa.filters.rollout import simulate
 from posegsa.model.estimate import FilterState
 from posegsa.model.fuzzy import FuzzyController
 from posegsa.model.measurements import Measurements
@@ -43,6 +43,7 @@ from posegsa.model.signal import (
     still_unknown,
 )
 from posegsa.model.vectors import Wahba
+from posegsa.recordings.running import run_filter
 from posegsa.search.configured_filters import signal_settings
 
 N = 60

@@ -256,7 +256,6 @@ import numpy as np
 import posegsa
 posegsa.enable_fast_path(devices=1)
 from posegsa.filters import observer
-from posegsa.filters.rollout import run_filter
 if sys.argv[1:]:
     observer.REFERENCE_GAIN = float(sys.argv[1])
 measurements = posegsa.Measurements.from_arrays(
@@ -268,7 +267,7 @@ measurements = posegsa.Measurements.from_arrays(
     landmarks=np.ones((20, 1, 3)),
     landmark_references=np.ones((1, 3)),
 )
-estimates = run_filter(
+estimates = posegsa.run_filter(
     posegsa.Observer(posegsa.ConstantGain(5.0)),
     measurements,
     posegsa.initial_state(np.eye(3), np.zeros(3)),

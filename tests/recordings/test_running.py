@@ -12,7 +12,6 @@ from helpers.schedules import K, tuned
 
 import posegsa
 from posegsa.errors import ArgumentError, PosegsaWarning
-from posegsa.filters import rollout
 from posegsa.filters.observer import Observer
 from posegsa.model.measurements import Measurements
 from posegsa.model.schedules import ConstantGain
@@ -46,7 +45,7 @@ def test_parts_make_the_estimates_of_one_piece(recording: Recording) -> None:
     parts = posegsa.run_filter(OBSERVER, recording)
     m = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), jnp.float32), recording.measurements)
     initial = running.state_of(recording.initial())
-    whole = rollout.run_filter(OBSERVER, Measurements(*m), initial)
+    whole = posegsa.run_filter(OBSERVER, Measurements(*m), initial)
     for name, mine, theirs in zip(whole._fields, parts, whole, strict=True):
         if theirs is None:
             assert mine is None, name
