@@ -1,8 +1,8 @@
 """One tuned filter on untrained families of scenarios, compared with the alternatives.
 
 The recommended filter as shipped, with the numbers in its configuration; the Kalman filter of
-`kalman.toml`, not tuned, with a smaller first bias, and what it costs more than the recommended one;
-the observer as it was tuned for that family, or else for any start; the Kalman filter of
+`kalman.toml`, not tuned, with a smaller first bias, and what it costs more than the recommended
+one; the observer as it was tuned for that family, or else for any start; the Kalman filter of
 `kalman.toml`, started from the sensors and not tuned; and the clairvoyant. Prints mean cost (99th
 percentile) of each family.
 

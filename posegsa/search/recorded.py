@@ -23,6 +23,7 @@ from posegsa.errors import ConfigError, RecordingError
 from posegsa.filters.base import Sensors, samples_of
 from posegsa.model.cost import CostWeights, RecordedCost
 from posegsa.model.estimate import FilterState
+from posegsa.model.measurements import Measurements
 from posegsa.model.se3 import rotate, rows
 from posegsa.recordings.data_check import found_noises
 from posegsa.recordings.recording import Recording
