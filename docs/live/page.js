@@ -12,7 +12,7 @@ const LARGEST_FRAME = 0.1; // s; after a longer pause of the browser, time goes 
 const ABOUT = {
   recommended:
     "A Kalman filter that starts anywhere: the fuzzy controller raises the noise that it assumes while the residuals are large.",
-  kalman: "An invariant Kalman filter with fixed noises, which starts at the pose that the sensors show.",
+  kalman: "An invariant Kalman filter with fixed noises, whose update is iterated, so that it may start anywhere.",
   observer: "The observer on SE(3), whose gain the fuzzy controller sets at each sample. It has no covariance.",
   disturbed: "A Kalman filter in which the fuzzy controller decides how far each sensor is believed.",
 };

@@ -69,15 +69,15 @@ def test_the_licences_of_its_libraries_are_in_it():
 
 @needs_browser
 def test_after_a_turn_the_error_falls_again(report: dict):
-    for name in ("recommended", "observer"):  # which converge from any start
+    for name in ("recommended", "kalman", "observer"):  # which converge from any start
         found = report["turned"][name]
         assert found["after"] == pytest.approx([150, 5])
         for when in ("before", "again"):
             angle, distance = found[when]
             assert angle < 8
             assert distance < 0.5
-    for name in ("kalman", "disturbed"):  # they are meant for a start at the sensors' pose
-        assert report["turned"][name]["before"][0] < 3
+    # It is meant for a start at the sensors' pose.
+    assert report["turned"]["disturbed"]["before"][0] < 3
 
 
 @needs_browser
