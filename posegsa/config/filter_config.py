@@ -189,7 +189,8 @@ class KalmanConfig(Section):
     reset: Reset = "off"
     """How the covariance is carried to the coordinates of the new estimate after an update: "off"
     leaves it as it is; with "two frames" the right error of pose and biases as one group keeps its
-    covariance, which is better after a wrong start if the noises are not tuned for it."""
+    covariance, which is better after a wrong start with one linearisation and noises that are
+    not tuned for it."""
 
     unknown: NoiseScheduleKind = "off"
     """The schedule that multiplies the densities of the velocities' noise and the walk of the

@@ -74,7 +74,7 @@ class Clairvoyant(KalmanFilter):
     `vector` and `landmark` are 1, and those of `KnownMotion` take the place of the others.
     """
 
-    elementwise = KalmanFilter.elementwise
+    elementwise = KalmanFilter.elementwise  # a subclass must say so itself (`filters.base`)
 
     def step(self, state: KalmanState, now: Samples) -> tuple[KalmanState, Record]:
         """One sample: update, propagation by the velocities, and the jump, if there is one."""

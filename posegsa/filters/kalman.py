@@ -30,10 +30,10 @@ J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", a
 most filters do); the neglected change is of first order in the correction. With `reset` it is
 carried to those of the new estimate, in the product that propagates it, so that the right error of
 pose and biases as one group keeps its covariance (A. Barrau, S. Bonnabel, "The Geometry of
-Navigation Problems", arXiv:2201.04426). That pays after a wrong start, if the noises are not tuned
-for it. With `iterations` above 1 the update is iterated until the attitude hardly changes; then a
-wrong start does little harm, without any tuning. Schedules may change the noises while the filter
-runs (`filters.noise_schedules`).
+Navigation Problems", arXiv:2201.04426). That pays after a wrong start with one linearisation, if
+the noises are not tuned for it. With `iterations` above 1 the update is iterated until the attitude
+hardly changes; then a wrong start does little harm, without any tuning. Schedules may change the
+noises while the filter runs (`filters.noise_schedules`).
 
 Vectors are used as measured, neither normalised nor with their cross product, which holds no
 further information: the filter ignores the weights, normalisation and cross product of

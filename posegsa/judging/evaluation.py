@@ -73,7 +73,7 @@ ADVICE = {
     ),
     EKF_CLOCK: "`posegsa tune kalman --set filter.iterations=1 --set filter.unknown=clock`",
     UNTUNED: "`posegsa export kalman`, with the noises of your sensors",
-    AS_CONFIGURED: "use the configuration itself, without a search",
+    AS_CONFIGURED: "the configuration itself, without a search",
     NOISES_FOUND: "`posegsa check FILE` prints it as a configuration",
     KALMAN_AS_IT_COMES: "`posegsa export kalman --recording FILE`",
     IMU_AS_IT_COMES: "`posegsa export imu --format c{frame}` or `posegsa replay imu FILE{frame}`",

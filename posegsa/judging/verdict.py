@@ -86,7 +86,8 @@ def verdict(
 
 def _listed(losses: Sequence[Loss]) -> str:
     """The losses of one filter; the first interval says what it is."""
-    *words, last = (loss.words("" if k else "95 % interval ") for k, loss in enumerate(losses))
+    first = next((loss for loss in losses if loss.known), None)
+    *words, last = (loss.words("95 % interval " if loss is first else "") for loss in losses)
     return f"{', '.join(words)} and {last}" if words else last
 
 

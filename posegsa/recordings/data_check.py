@@ -114,7 +114,8 @@ class DataCheck:
             lines.append(f"# {key} = {usual:g}  # assumed, as it did not show: state what you know")
         for key, scales in _scales([self.sensors]).items():
             lines.append(f"{key} = [{', '.join(f'{x:.3g}' for x in scales)}]  # one by one")
-        return "\n".join(["[filter]", 'kind = "kalman"', "iterations = 10", *lines])
+        head = "[filter]", 'kind = "kalman"', "iterations = 10  # of an update at most"
+        return "\n".join([*head, *lines])
 
 
 _SETTINGS = (

@@ -248,6 +248,7 @@ def test_random_search_needs_no_library_of_the_runs_own_optimiser(problem, monke
     other = config.override(problem.experiment, ["search.optimiser=cma_es"])
     again = random_search(problem._replace(experiment=other))
     assert again.numbers == found.numbers
+    assert again.also == found.also
 
 
 def test_the_grids_constant_is_the_best_of_all_whole_gains(problem) -> None:

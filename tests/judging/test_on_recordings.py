@@ -144,7 +144,8 @@ def test_intervals_are_those_of_paired_blocks() -> None:
     assert half.sure
     (alike,) = losses(filter(1.0, 0.5), filter(0.9, 0.5))
     assert alike.low < 0 < alike.high
-    assert not alike.sure
+    words = sentence("these", "1 deg", {"EKF": [alike]}, {}, {})
+    assert words.startswith("On these no filter is surely better than this one, 1 deg.")
     few = [one._replace(blocks=Blocks([1.0] * 3, None)) for one in filter(1.0, 0.0)]
     assert np.isnan(losses(few, few)[0].low)
     # The short blocks of a short recording are for a figure: neighbours are correlated.

@@ -27,7 +27,7 @@ def test_the_examples_run_and_find_what_they_say() -> None:
     assert names["climbed"].best_cost < 0.01
 
 
-def test_the_list_is_that_of_the_registry() -> None:
+def test_the_list_is_that_of_the_optimisers() -> None:
     """`python benchmarks/optimisers.py list` writes it."""
     assert f"<!-- optimisers: begin -->\n{registered()}\n<!-- optimisers: end -->" in TEXT
 
