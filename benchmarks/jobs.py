@@ -71,7 +71,7 @@ JOBS = (
     Job(
         "slow sensors, one landmark in sight at a time, a body that is moved",
         *("sparse", "sparse", "sensors", "`sparse`, 2 vectors, 3 landmarks"),
-        "21 to 26 % less; 1 % more to 0 % less",
+        "20 to 26 % less; 1 % less to 1 % more",
     ),
 )
 
