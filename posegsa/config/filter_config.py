@@ -182,6 +182,9 @@ class KalmanConfig(Section):
     step before; a delay of L seconds adds L over the time step."""
     linear_lead: Annotated[float, Field(strict=True, ge=0, le=100), Tunable()] = 0.0
     """The same for the linear velocity."""
+    noise_adaptation: Annotated[Positive | Literal["off"], Tunable()] = "off"
+    """Memory with which the noise of each sensor is estimated from how far its successive samples
+    differ, in its samples, such as 100; "off" leaves the noises as stated."""
     iterations: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
     """How many times the measurements of a sample are linearised at most, each time at the new
     estimate, until its attitude hardly changes. With 10 a wrong start does little harm where the
@@ -208,11 +211,12 @@ class KalmanConfig(Section):
     """The schedule that multiplies the variance of each vector and each landmark; its input is that
     sensor's normalised squared residual. There is one for the vectors and one for the landmarks."""
     belief_input: BeliefInput = "residual"
-    """The input of that schedule: the normalised squared "residual"; or the "variance" that it
-    implies, as a multiple of the sensor's own variance (the estimate of Sage and Husa). Both are
-    low-passed."""
+    """The input of that schedule: the normalised squared "residual"; the "variance" that it
+    implies, as a multiple of the sensor's own variance (the estimate of Sage and Husa), both
+    low-passed; or the normalised square of the residual's low-passed "mean", which shows a sensor
+    that is off by a constant long before single residuals do."""
     belief_smoothing: Annotated[NonNegative, _OF_BELIEF] = 0.1
-    """Time constant of the low-pass filter of that residual [s]."""
+    """Time constant of that low-pass filter [s]."""
     belief_scale: Annotated[AboveOne, _OF_BELIEF] = 1e6
     """The input before scaling at which the schedule's input is 1, no unit; it is logarithmic."""
     belief_rate_scale: Annotated[NonNegative, _OF_BELIEF] = 0.1

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from functools import partial, reduce
 from typing import Any, Literal, NamedTuple
 
+import jax.numpy as jnp
 from jax import Array
 
 from posegsa.filters.covariance import ANGULAR, VECTORS, Covariance, Row, entry_of, product
@@ -25,6 +26,7 @@ from posegsa.filters.measurement_model import (
 from posegsa.filters.noise_schedules import (
     NoiseMemory,
     NoiseSignal,
+    ResidualMean,
     initial_noise_memory,
     noise_factor,
 )
@@ -36,8 +38,9 @@ from posegsa.model.se3 import Vec3, dot, rows
 from posegsa.model.sensor_loops import apart, in_turn, stacked
 from posegsa.model.vectors import VectorSample
 
-BeliefInput = Literal["residual", "variance"]
-"""The input of belief: a sensor's normalised squared residual, or the variance that it implies."""
+BeliefInput = Literal["residual", "variance", "mean"]
+"""The input of belief: a sensor's normalised squared residual, the variance that it implies, both
+low-passed, or the normalised square of its low-passed residual."""
 
 
 class Residual(NamedTuple):
@@ -49,6 +52,10 @@ class Residual(NamedTuple):
     (|z - y|^2 - tr(H Sigma H^T)) / (3 s^2), which can be negative."""
     factor: Array
     """Factor on its weight, 0 where it is missing."""
+    off: Vec3 | None = None
+    """For the input "mean": z - y, in the sensor's unit."""
+    expected: tuple[Array, Array] | None = None
+    """For the input "mean", of |z - y|^2: tr(H Sigma H^T), and 3 s^2."""
 
 
 def residuals(
@@ -70,6 +77,7 @@ def residuals(
         vector: standard deviation of each component of a vector, in its unit.
         landmark: standard deviation of each coordinate of a landmark [m].
         of: which `normalised` to compute: the "residual" over its expectation, or the "variance".
+            With "mean" that of "residual", and what its mean needs.
     """
     R, axes = rows(estimate.attitude), range(3)
     learnt = bool(estimate.vector_biases)
@@ -79,7 +87,8 @@ def residuals(
         square, own = dot(off, off), 3 * one
         if of == "variance":
             return Residual((square - spread) / own, factor)
-        return Residual(square / (spread + own), factor)
+        found = Residual(square / (spread + own), factor)
+        return found._replace(off=off, expected=(spread + 0 * own, own)) if of == "mean" else found
 
     def spread(each: Sequence[Row]) -> Array | float:
         """tr(H Sigma H^T) of rows over the states of the pose."""
@@ -139,8 +148,30 @@ class Factors(NamedTuple):
     landmarks: tuple[Array, ...] | None
 
 
+def next_mean(past: NoiseMemory, now: Residual, smoothing: Array) -> ResidualMean:
+    """The low-passed residual of a sensor after a sample; as it was if it is missing.
+
+    Args:
+        past: its memory before, with a mean.
+        now: its residual.
+        smoothing: time constant [s].
+    """
+    assert isinstance(past.mean, ResidualMean)
+    assert now.off is not None
+    mean, seen = past.mean, now.factor > 0
+    old = choose(jnp.isinf(past.age), 0.0, smoothing / (smoothing + past.age))
+    value = tuple(
+        choose(seen, z + old * (m - z), m) for z, m in zip(now.off, mean.value, strict=True)
+    )
+    share = (1 - old) * (1 - old) + old * old * mean.share
+    return ResidualMean((value[0], value[1], value[2]), choose(seen, share, mean.share))
+
+
 def initial_beliefs(
-    schedules: Sequence[GainSchedule | None], counts: Sequence[int], like: Array
+    schedules: Sequence[GainSchedule | None],
+    counts: Sequence[int],
+    like: Array,
+    of: BeliefInput = "residual",
 ) -> BeliefMemory:
     """The memory before the first sample, in the shape and dtype of `like`.
 
@@ -148,10 +179,13 @@ def initial_beliefs(
         schedules: of vectors and of landmarks.
         counts: how many vectors and landmarks there are.
         like: any number of the state.
+        of: the input.
     """
+    zero = jnp.zeros_like(like)
+    mean = ResidualMean((zero, zero, zero), zero) if of == "mean" else ()
     return BeliefMemory(
         *(
-            () if one is None else (initial_noise_memory(one, like),) * count
+            () if one is None else (initial_noise_memory(one, like)._replace(mean=mean),) * count
             for one, count in zip(schedules, counts, strict=True)
         )
     )
@@ -182,11 +216,17 @@ def belief_factors(
             factors.append(None)
             memories.append(before)
             continue
-        follow = partial(noise_factor, schedule, signal)
 
-        def one(nothing: tuple[()], of_sensor: Any, follow: Any = follow) -> Any:
+        def one(nothing: tuple[()], of_sensor: Any, schedule: Any = schedule) -> Any:
             past, now = of_sensor
-            factor, after, _ = follow(past, now.normalised, now.factor > 0, time, time_step)
+            seen, value, own = now.factor > 0, now.normalised, signal
+            if now.expected is not None:
+                mean = next_mean(past, now, signal.smoothing)
+                spread, variance = now.expected
+                value = dot(mean.value, mean.value) / (spread + mean.share * variance)
+                past = past._replace(mean=mean)
+                own = signal._replace(smoothing=0 * signal.smoothing)
+            factor, after, _ = noise_factor(schedule, own, past, value, seen, time, time_step)
             return nothing, (factor, after)
 
         _, found = in_turn(one, (), (stacked(before), residual))

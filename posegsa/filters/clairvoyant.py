@@ -2,7 +2,8 @@
 
 It starts from the true pose, with biases of 0 and their spread as standard deviations, and knows
 the noise of each sensor at each sample, each burst (it drops that measurement), each outage, and
-each jump of the body (its velocity includes the jump). A real filter can hardly have a lower cost.
+each jump of the body (its velocity includes the jump). It is no bound: a filter that also models
+how smoothly the body moves, or that estimates what a burst adds, can have a lower cost.
 
 It is the Kalman filter of `filters.kalman`. Its `noise` has the deviations of the start and the
 walk of the vectors' biases; `vector` and `landmark` are 1, since the weights of its measurements

@@ -96,6 +96,7 @@ from posegsa.filters.measurement_model import (
     weighted,
     with_biases,
 )
+from posegsa.filters.noise_levels import NoiseLevels, at_levels, next_levels, stated
 from posegsa.filters.noise_schedules import (
     NO_NOISE_GAINS,
     SIGNAL_KEYS,
@@ -118,6 +119,7 @@ from posegsa.model.se3 import (
     move,
     product,
     rows,
+    safe_sqrt,
     scale,
     subtract,
     unrotate,
@@ -186,6 +188,8 @@ class KalmanState(NamedTuple):
     """Memory of the noise schedules."""
     last: LastSample | tuple[()] = ()
     """The last velocities; () for a filter that does not extrapolate them."""
+    levels: NoiseLevels | tuple[()] = ()
+    """What is known of each sensor's noise; () for a filter that does not estimate it."""
 
     @property
     def covariance_matrix(self) -> Array:
@@ -216,6 +220,9 @@ class KalmanFilter:
     """How the covariance is carried to the coordinates of the new estimate after an update."""
     leads: Leads | None = None
     """How far the measured velocities are extrapolated; None leaves them as they are."""
+    noise_adaptation: Array | None = None
+    """Memory with which the noise of each sensor is estimated, in its samples
+    (`filters.noise_levels`); None leaves the noises as they are."""
     vector_scales: tuple[float, ...] = field(default=(), metadata={"static": True})
     """Noise of each vector, in order, as a multiple of `noise.vector`; 1 for further ones."""
     landmark_scales: tuple[float, ...] = field(default=(), metadata={"static": True})
@@ -231,7 +238,8 @@ class KalmanFilter:
 
         Args:
             values: By their names in `KalmanNoise`; those of a signal as "unknown_smoothing" or
-                "belief_smoothing", with the names in `NoiseSignal`; "angular_lead", "linear_lead".
+                "belief_smoothing", with the names in `NoiseSignal`; "angular_lead", "linear_lead";
+                "noise_adaptation", if it is not None.
 
         Raises:
             ArgumentError: There is no number with this name.
@@ -240,7 +248,8 @@ class KalmanFilter:
             keys if there else ()
             for keys, there in ((SIGNAL_KEYS, self.signals), (LEAD_KEYS, self.leads))
         )
-        known = (*KalmanNoise._fields, *of_signals, *of_leads)
+        of_levels = () if self.noise_adaptation is None else ("noise_adaptation",)
+        known = (*KalmanNoise._fields, *of_signals, *of_leads, *of_levels)
         if wrong := [key for key in values if key not in known]:
             refuse(f"{wrong[0]}: not a number of this filter", ", ".join(known))
         noise, signals, leads = (
@@ -253,6 +262,7 @@ class KalmanFilter:
             noise=self.noise._replace(**noise),
             signals=self.signals and self.signals.with_values(signals),
             leads=self.leads and self.leads._replace(**ahead),
+            noise_adaptation=values.get("noise_adaptation", self.noise_adaptation),
         )
 
     def prepare(self, measurements: Measurements) -> Sample:
@@ -291,10 +301,11 @@ class KalmanFilter:
         unknown, *beliefs = self.schedule
         memory = KalmanMemory(
             () if unknown is None else initial_noise_memory(unknown, like),
-            *initial_beliefs(beliefs, sensors, like),
+            *initial_beliefs(beliefs, sensors, like, self.belief_input),
         )
         last = () if self.leads is None else no_sample(like)
-        return KalmanState(estimate, covariance, memory, last)
+        levels = () if self.noise_adaptation is None else stated(sensors, like)
+        return KalmanState(estimate, covariance, memory, last, levels)
 
     def ready(self) -> Self:
         """The filter for `step`, its schedules prepared (slopes and overlaps of the terms)."""
@@ -308,9 +319,19 @@ class KalmanFilter:
         if self.vector_scales or self.landmark_scales:
             scaled = _scaled(now.sample, self.vector_scales, self.landmark_scales)
             now = now._replace(sample=scaled)
-        sample, noise, record = now.sample, self.noise, Record()
+        noise, record, levels = self.noise, Record(), state.levels
+        if self.noise_adaptation is not None and isinstance(levels, NoiseLevels):
+            of = noise.angular_velocity, noise.velocity, noise.vector, noise.landmark
+            after = next_levels(levels, state.estimate, now.sample, of, self.noise_adaptation)
+            now = now._replace(sample=at_levels(now.sample, levels))
+            state = state._replace(levels=after)
+            noise = noise._replace(
+                angular_velocity=safe_sqrt(levels.angular_velocity.factor) * noise.angular_velocity,
+                velocity=safe_sqrt(levels.velocity.factor) * noise.velocity,
+            )
+        sample = now.sample
         if self.signals is not None:
-            sample, noise, memory, record = self._scheduled(self.signals, state, now)
+            sample, noise, memory, record = self._scheduled(self.signals, noise, state, now)
             state = state._replace(memory=memory)
         updated, found = update(state, sample, noise, self.iterations)
         record = record._replace(nis=found.nis, scalars=found.scalars)
@@ -328,10 +349,10 @@ class KalmanFilter:
         return tuple(row[: ANGULAR - i] for i, row in enumerate(state.covariance[:ANGULAR]))
 
     def _scheduled(
-        self, signals: NoiseSignals, state: KalmanState, now: Samples
+        self, signals: NoiseSignals, noise: KalmanNoise, state: KalmanState, now: Samples
     ) -> tuple[Sample, KalmanNoise, KalmanMemory, Record]:
         """The sample with the weights that its residuals leave, the noises, and the memory."""
-        sample, noise, memory = now.sample, self.noise, state.memory
+        sample, memory = now.sample, state.memory
         on_time, record = (now.time, sample.time_step), Record()
         of_noise, *beliefs = cast(Sequence[PreparedSchedule | None], self.schedule)
         if any(beliefs):

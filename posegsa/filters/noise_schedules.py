@@ -31,6 +31,7 @@ from jax import Array
 from posegsa.arguments import refuse
 from posegsa.model.elementwise import choose, maximum, minimum
 from posegsa.model.schedules import GainSchedule, PreparedSchedule, ScheduleInputs
+from posegsa.model.se3 import Vec3
 
 
 class NoiseSignal(NamedTuple):
@@ -58,6 +59,15 @@ class NoiseSignal(NamedTuple):
         return self._replace(**{name: value})
 
 
+class ResidualMean(NamedTuple):
+    """The low-passed residual of a sensor."""
+
+    value: Vec3
+    """In the sensor's unit."""
+    share: Array
+    """The variance of its white noise, as a share of that of one residual."""
+
+
 class NoiseMemory(NamedTuple):
     """What a schedule remembers of one input, from sample to sample."""
 
@@ -69,6 +79,8 @@ class NoiseMemory(NamedTuple):
     """The last output of the schedule."""
     age: Array
     """Time since the last input [s]; infinite before the first one."""
+    mean: ResidualMean | tuple[()] = ()
+    """For the belief input "mean", else ()."""
 
 
 class NoiseSignals(NamedTuple):
@@ -147,7 +159,7 @@ def noise_factor(
     )
     gain = schedule(inputs).gain
     factor = jnp.exp(maximum(0.01 * (gain - 1), 0.0) * jnp.log(signal.largest))
-    after = NoiseMemory(
+    after = memory._replace(
         value=value,
         error=choose(seen, error, memory.error),
         gain=choose(seen, gain, memory.gain),

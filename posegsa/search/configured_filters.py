@@ -120,6 +120,9 @@ def filter_of(
             iterations=section.iterations,
             reset=section.reset,
             leads=_leads(experiment, section, dtype),
+            noise_adaptation=None
+            if section.noise_adaptation == "off"
+            else host_array(section.noise_adaptation, dtype),
             vector_scales=section.vector_scales,
             landmark_scales=section.landmark_scales,
         )

@@ -67,8 +67,10 @@ def kalman(vector_biases: bool) -> KalmanFilter:
 
 
 def iterated() -> KalmanFilter:
-    """One that linearises until the attitude hardly changes, and resets its covariance."""
-    return replace(kalman(True), iterations=10, reset="two frames")
+    """One that linearises until the attitude hardly changes, and adapts its covariance."""
+    with jax.enable_x64(True):
+        level = {"noise_adaptation": jnp.asarray(50.0)}
+    return replace(kalman(True), iterations=10, reset="two frames", **level)
 
 
 def scheduled(name: str, landmarks: int) -> Filter:

@@ -40,6 +40,7 @@ from posegsa.search.problem import tuning_problem
 
 pytestmark = pytest.mark.usefixtures("x64")
 AGENTS = 5
+ALL_OF_KALMAN = ("filter.unknown=fuzzy", "filter.angular_lead=0.5", "filter.noise_adaptation=50.0")
 
 
 def of_kalman(*settings: str) -> config.Experiment:
@@ -52,7 +53,7 @@ def of_kalman(*settings: str) -> config.Experiment:
 @pytest.mark.parametrize(
     "experiment",
     [
-        pytest.param(of_kalman("filter.unknown=fuzzy", "filter.angular_lead=0.5"), id="Kalman"),
+        pytest.param(of_kalman(*ALL_OF_KALMAN), id="Kalman"),
         pytest.param(paper(*lasting(5.0), *LEARNT, "filter.belief=ramp"), id="observer"),
         pytest.param(paper(*lasting(5.0), "fuzzy.centroid=sampled"), id="sampled centroid"),
     ],

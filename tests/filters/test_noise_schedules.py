@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 import posegsa
 from posegsa.filters.base import Samples, Sensors, samples_of
-from posegsa.filters.belief import residuals
+from posegsa.filters.belief import Residual, initial_beliefs, next_mean, residuals
 from posegsa.filters.kalman import (
     KalmanFilter,
     KalmanNoise,
@@ -251,6 +251,54 @@ def test_a_sensor_that_disagrees_is_not_believed() -> None:
     assert errors[0] < 0.01 * errors[1]
 
 
+def at_rest(m: Any, T: np.ndarray, rng: np.random.Generator, noise: float) -> Any:
+    """The measurements of a body that stays at a pose, with white noise of its sensors."""
+    count = len(m.time_step)
+    return m._replace(
+        angular_velocity=np.zeros((count, 3)),
+        velocity=np.zeros((count, 3)),
+        vectors=(m.vector_references @ T[:3, :3]) + noise * rng.normal(size=(count, 2, 3)),
+        vector_weights=np.ones((count, 2)),
+        landmark_weights=np.ones((count, 1)),
+        landmarks=(m.landmark_references - T[:3, 3]) @ T[:3, :3]
+        + noise * rng.normal(size=(count, 1, 3)),
+    )
+
+
+def test_the_mean_of_residuals_is_low_passed_as_its_page_states() -> None:
+    rng, smoothing = np.random.default_rng(7), jnp.asarray(0.05)
+    line = RampGain(jnp.asarray(0.0), jnp.asarray(1.0))
+    (memory,) = initial_beliefs((line,), (1,), jnp.asarray(0.0), "mean").vectors
+    mean, share, age = np.zeros(3), 0.0, np.inf
+    for seen in (False, True, True, False, True):
+        off = rng.normal(size=3)
+        zero = jnp.asarray(0.0)
+        now = Residual(zero, jnp.asarray(float(seen)), tuple(map(jnp.asarray, off)), (zero, zero))
+        after = next_mean(memory, now, smoothing)
+        if seen:
+            old = 0.05 / (0.05 + age)
+            mean, share, age = off + old * (mean - off), (1 - old) ** 2 + old**2 * share, 0.01
+        else:
+            age += 0.01
+        np.testing.assert_allclose(after.value, mean, rtol=1e-12)
+        np.testing.assert_allclose(after.share, share, rtol=1e-12)
+        memory = memory._replace(mean=after, age=jnp.asarray(age))
+
+
+@pytest.mark.parametrize(("off", "least", "most"), [(0.0, 0.2, 3.0), (0.1, 4.0, 20.0)])
+def test_the_mean_shows_an_offset_as_small_as_the_noise(off, least, most) -> None:
+    """Of a vector, its square over its expectation, which for a single residual would be 4/3."""
+    rng = np.random.default_rng(5)
+    T, assumed = random_poses(rng, 1)[0], 0.1
+    m = at_rest(random_measurements(rng, 2000, 2, 1), T, rng, assumed)
+    m.vectors[1900:, 0, 0] += off
+    line = RampGain(jnp.asarray(0.0), jnp.asarray(1.0))
+    own = kalman(NoiseGains(vectors=line, landmarks=line), SIGNAL._replace(smoothing=0.3))
+    memory = ran(replace(own, belief_input="mean"), m, T).memory
+    assert least < float(memory.vectors[0].value) < most
+    assert 0.1 < float(memory.vectors[1].value) < 3
+
+
 def test_the_variance_implied_by_residuals_is_the_sensors_own_on_average() -> None:
     """Landmarks have three times the noise that the filter assumes: Sage and Husa's rule finds it.
 
@@ -259,15 +307,9 @@ def test_the_variance_implied_by_residuals_is_the_sensors_own_on_average() -> No
     rng = np.random.default_rng(5)
     T, count, assumed = random_poses(rng, 1)[0], 4000, 0.1
     m = random_measurements(rng, count, 2, 1)
+    m = at_rest(m, T, rng, assumed)
     body = (m.landmark_references - T[:3, 3]) @ T[:3, :3]
-    m = m._replace(
-        angular_velocity=np.zeros((count, 3)),
-        velocity=np.zeros((count, 3)),
-        vectors=(m.vector_references @ T[:3, :3]) + assumed * rng.normal(size=(count, 2, 3)),
-        vector_weights=np.ones((count, 2)),
-        landmark_weights=np.ones((count, 1)),
-        landmarks=body + 3 * assumed * rng.normal(size=(count, 1, 3)),
-    )
+    m = m._replace(landmarks=body + 3 * assumed * rng.normal(size=(count, 1, 3)))
     line = RampGain(jnp.asarray(0.0), jnp.asarray(1.0))
     own = kalman(NoiseGains(vectors=line, landmarks=line), SIGNAL._replace(smoothing=5.0))
     memory = ran(replace(own, belief_input="variance"), m, T).memory
