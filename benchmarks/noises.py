@@ -26,13 +26,21 @@ from posegsa.search.keys import held_out_keys
 TIMES = {"as believed": 1.0, "3 times that": 3.0, "a third of it": 1 / 3}
 """The sensors' noise as a multiple of what a filter believes."""
 KALMAN = ("kalman", "sensors")
-FILTERS: dict[str, tuple[str, list[tuple[str, str]]]] = {
-    "any start": ("observer", [KALMAN, ("recommended", "given"), ("observer", "given")]),
+RECOMMENDED, SPARSE = ("recommended", "given"), ("sparse", "sensors")
+ADAPTED = "filter.noise_adaptation=100.0"
+FILTERS: dict[str, tuple[str, list[tuple[str, ...]]]] = {
+    "any start": (
+        "observer",
+        [KALMAN, RECOMMENDED, (*RECOMMENDED, ADAPTED), ("observer", "given")],
+    ),
     "as in the field": ("field", [KALMAN, ("field", "given")]),
     "disturbed sensors": ("disturbed", [KALMAN, ("disturbed", "sensors")]),
-    "sparse sensors": ("sparse", [KALMAN, ("sparse", "sensors"), ("sparse", "given")]),
+    "sparse sensors": (
+        "sparse",
+        [KALMAN, SPARSE, (*SPARSE, ADAPTED), ("sparse", "given")],
+    ),
 }
-"""By kind of scenario: its configuration, and the filters with their starts."""
+"""By kind of scenario: its configuration, and the filters with their starts and settings."""
 SENSOR_NOISES = "angular_velocity", "velocity", "vector", "landmark"
 
 
@@ -41,10 +49,11 @@ def on_scenarios(scenarios: int, which: int) -> list[str]:
     keys, lines = held_out_keys(0, scenarios, which), []
     for kind, (file, filters) in FILTERS.items():
         families = [with_family(file, {"noise_scale": [x, x]}) for x in TIMES.values()]
-        for name, start in filters:
-            own = config.load(name)
+        for name, start, *settings in filters:
+            own = config.override(config.load(name), settings)
             cells = [words(judged(own, family, keys, start).cost) for family in families]
-            lines.append(f"| {kind} | `{name}`, {STARTS[start]} | {' | '.join(cells)} |")
+            take = " --set ".join((name, *settings))
+            lines.append(f"| {kind} | `{take}`, {STARTS[start]} | {' | '.join(cells)} |")
             print(lines[-1], flush=True)
         known = [with_scenarios(config.load("kalman"), family) for family in families]
         cells = [words(np.asarray(clairvoyant_costs(one, keys))) for one in known]

@@ -59,6 +59,7 @@ TWO, NOISES_TOO = ", once, reset in two frames", ", noises too"
 TIED, BOTH = f"{CONTROLLER}, one for all sensors", f"{CONTROLLER}, both roles"
 CLOCK, ONCE, ITERATED = "clock, 16 knots", ", not iterated", "fixed noises, tuned, iterated"
 FIRST_BIAS = "the same, the vectors' first bias tuned"
+STATED_GATE = "gate, noises as stated"
 GATE, HUBER, POWER, SAGE_HUSA = "gate", "Huber", "plain residual law", "Sage and Husa"
 RULES: dict[str, tuple[list[tuple[float, float]], Callable[[Array], RampGain]]] = {
     GATE: ([(0.0, 0.4)], lambda x: RampGain(x[0], jnp.full_like(x[0], 1000.0))),
@@ -81,6 +82,7 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
     """The Kalman filters that are compared where a role is scheduled."""
     if role == "belief":
         gate = {"belief": "ramp", "belief_smoothing": 0.0}
+        power = {"belief": "ramp", "belief_input": "residual"}
         return {
             "the sensors' noises, not tuned": ({"belief": "off"}, None),
             "fixed noises, tuned": ({"belief": "off"}, NOISES),
@@ -90,12 +92,14 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
                 {"belief": "ramp"},
                 [*NOISES, *BELIEF_ALSO],
             ),
+            STATED_GATE: (gate | {"noise_adaptation": "off"}, []),
+            f"{GATE}, low-passed": ({"belief": "ramp"}, BELIEF_ALSO),
             GATE: (gate, []),
             f"{GATE}{NOISES_TOO}": (gate, NOISES),
             HUBER: (gate, []),
             f"{HUBER}{NOISES_TOO}": (gate, NOISES),
-            POWER: ({"belief": "ramp"}, BELIEF_ALSO),
-            f"{POWER}{NOISES_TOO}": ({"belief": "ramp"}, [*NOISES, *BELIEF_ALSO]),
+            POWER: (power, BELIEF_ALSO),
+            f"{POWER}{NOISES_TOO}": (power, [*NOISES, *BELIEF_ALSO]),
             SAGE_HUSA: ({"belief": "ramp", "belief_input": "variance"}, BELIEF_ALSO),
             f"{SAGE_HUSA}{NOISES_TOO}": (
                 {"belief": "ramp", "belief_input": "variance"},
@@ -104,10 +108,10 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
             CLOCK: ({"belief": "clock"}, []),
             f"{CLOCK}{NOISES_TOO}": ({"belief": "clock"}, NOISES),
             ITERATED: ({"belief": "off", "iterations": 10}, NOISES),
-            TIED: ({"belief": "fuzzy"}, BELIEF_ALSO),
-            BOTH: ({"belief": "fuzzy", "unknown": "fuzzy"}, BELIEF_ALSO),
-            CONTROLLER: ({"belief": "fuzzy"}, BELIEF_ALSO),
-            f"{CONTROLLER}{NOISES_TOO}": ({"belief": "fuzzy"}, [*NOISES, *BELIEF_ALSO]),
+            TIED: ({"belief": "fuzzy"}, also),
+            BOTH: ({"belief": "fuzzy", "unknown": "fuzzy"}, also),
+            CONTROLLER: ({"belief": "fuzzy"}, also),
+            f"{CONTROLLER}{NOISES_TOO}": ({"belief": "fuzzy"}, [*NOISES, *also]),
         }
     off, once_reset = {"unknown": "off"}, {"iterations": 1, "reset": "two frames"}
     return {
