@@ -168,7 +168,7 @@ def test_the_hard_families_have_the_papers_sensors_and_motion_and_three_landmark
     assert experiment.cost == default.cost
     assert experiment.filter.kind == "kalman"
     # A number that is stated is not tuned by default: what is tuned is stated too.
-    assert len(experiment.parameters.also) == {"disturbed": 1, "sparse": 10}[name]
+    assert len(experiment.parameters.also) == {"disturbed": 3, "sparse": 10}[name]
     for field in ("angular_velocity", "velocity", "angular_velocity_noise", "velocity_noise"):
         assert getattr(experiment.scenario, field) == getattr(default.scenario, field)
     for vector, paper in zip(experiment.scenario.vectors, default.scenario.vectors, strict=True):
