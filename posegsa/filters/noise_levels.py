@@ -3,9 +3,9 @@
 White noise of variance s^2 makes two successive samples differ by 2 s^2 in the mean square,
 whatever both have in common: the *mean square successive difference* (J. von Neumann, R. H. Kent,
 H. R. Bellinson, B. I. Hart, Annals of Mathematical Statistics 12, 1941). So a sensor that is off
-for a while, an estimate that is wrong or a body that has been moved count once, at the sample where
-they begin, and not as noise. Each sensor has a factor f on the variance that is stated for it, 1 at
-first. At each of its samples but the first
+for a while, an estimate that is wrong or a body that has been moved are not taken for noise: they
+count only at the samples where they begin and end. Each sensor has a factor f on the variance that
+is stated for it, 1 at first. At each of its samples but the first
 
     f <- f (1 + (min(q / f, 5) - 1) / n),    q = |r_k - r_k-1|^2 / (6 s^2),
 
