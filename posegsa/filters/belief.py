@@ -36,7 +36,6 @@ from posegsa.model.sample import LandmarkSample, Sample
 from posegsa.model.schedules import GainSchedule, PreparedSchedule
 from posegsa.model.se3 import Vec3, dot, rows
 from posegsa.model.sensor_loops import apart, in_turn, stacked
-from posegsa.model.vectors import VectorSample
 
 BeliefInput = Literal["residual", "variance", "mean"]
 """The input of belief: a sensor's normalised squared residual, the variance that it implies, both
@@ -236,6 +235,13 @@ def belief_factors(
     return Factors(*factors), BeliefMemory(*memories)
 
 
+def _least(sensors: Sequence[Any], factors: Sequence[Array], largest: Array) -> Array:
+    """The least factor of the sensors that are measured; `largest` if there are none."""
+    pairs = zip(sensors, factors, strict=True)
+    measured = (choose(sensor.factor > 0, factor, largest) for sensor, factor in pairs)
+    return reduce(minimum, measured, largest)
+
+
 def over_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
     """The factors of each kind over its least one: one vector and one landmark are fully believed.
 
@@ -247,21 +253,35 @@ def over_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
         sample: whose sensors with a weight above 0 are measured.
         largest: any number that no factor exceeds.
     """
-
-    def relative(
-        sensors: Sequence[VectorSample | LandmarkSample], of_kind: tuple[Array, ...] | None
-    ) -> tuple[Array, ...] | None:
-        if of_kind is None:
-            return None
-        pairs = zip(sensors, of_kind, strict=True)
-        measured = (choose(sensor.factor > 0, factor, largest) for sensor, factor in pairs)
-        least = reduce(minimum, measured, largest)
-        return tuple(factor / least for factor in of_kind)
-
-    return Factors(
-        relative(sample.vectors.each, factors.vectors),
-        relative(sample.landmarks, factors.landmarks),
+    kinds = zip((sample.vectors.each, sample.landmarks), factors, strict=True)
+    relative = (
+        None
+        if of_kind is None
+        else tuple(factor / _least(sensors, of_kind, largest) for factor in of_kind)
+        for sensors, of_kind in kinds
     )
+    return Factors(*relative)
+
+
+def halfway_to_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
+    """All factors over the square root of the least one.
+
+    When every sensor is doubted, it may as well be the estimate that is wrong, although its
+    covariance is small. Half of the doubt that all of them share is then taken as such, in the
+    logarithm. While one sensor is believed nothing changes.
+
+    Args:
+        factors: up to `largest`.
+        sample: whose sensors with a weight above 0 are measured.
+        largest: any number that no factor exceeds.
+    """
+    kinds = zip((sample.vectors.each, sample.landmarks), factors, strict=True)
+    each = (
+        _least(sensors, (jnp.ones_like(largest),) * len(sensors) if of is None else of, largest)
+        for sensors, of in kinds
+    )
+    root = jnp.sqrt(reduce(minimum, each, largest))
+    return Factors(*(of if of is None else tuple(factor / root for factor in of) for of in factors))
 
 
 def as_believed(sample: Sample, factors: Factors) -> Sample:

@@ -71,6 +71,7 @@ from posegsa.filters.belief import (
     BeliefMemory,
     as_believed,
     belief_factors,
+    halfway_to_the_least,
     initial_beliefs,
     residuals,
 )
@@ -359,6 +360,8 @@ class KalmanFilter:
             known = state.estimate, state.covariance, sample, noise.vector, noise.landmark
             each, before = residuals(*known, of=self.belief_input), BeliefMemory(*memory[1:])
             factors, after = belief_factors(beliefs, signals.belief, before, each, *on_time)
+            largest = jnp.broadcast_to(signals.belief.largest, sample.time_step.shape)
+            factors = halfway_to_the_least(factors, sample, largest)
             sample, memory = as_believed(sample, factors), KalmanMemory(memory.unknown, *after)
         if of_noise is not None and memory.unknown:
             error, seen = measured_error(state.estimate, sample, noise.vector, noise.landmark)

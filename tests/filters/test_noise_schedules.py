@@ -18,7 +18,14 @@ from hypothesis import strategies as st
 
 import posegsa
 from posegsa.filters.base import Samples, Sensors, samples_of
-from posegsa.filters.belief import Residual, initial_beliefs, next_mean, residuals
+from posegsa.filters.belief import (
+    Factors,
+    Residual,
+    halfway_to_the_least,
+    initial_beliefs,
+    next_mean,
+    residuals,
+)
 from posegsa.filters.kalman import (
     KalmanFilter,
     KalmanNoise,
@@ -38,7 +45,8 @@ from posegsa.model.schedules import ConstantGain, RampGain
 pytestmark = pytest.mark.usefixtures("x64")
 
 NOISE = KalmanNoise(0.02, 0.01, 1e-4, 1e-4, 1e-4, 0.1, 0.1, 0.5, 1.0, 0.1, 0.3, 0.1)
-SIGNAL = NoiseSignal(smoothing=0.1, scale=1e6, rate_scale=0.1, largest=1e6)
+LARGEST = 1e6
+SIGNAL = NoiseSignal(smoothing=0.1, scale=1e6, rate_scale=0.1, largest=LARGEST)
 
 
 def numbers(record: Any) -> Any:
@@ -50,9 +58,9 @@ def kalman(schedule: NoiseGains, signal: NoiseSignal = SIGNAL) -> KalmanFilter:
     return KalmanFilter(numbers(NOISE), schedule=numbers(schedule), signals=signals)
 
 
-def sequence(count: int, seed: int = 0) -> tuple[Any, np.ndarray]:
+def sequence(count: int, seed: int = 0, missing: float = 0.3) -> tuple[Any, np.ndarray]:
     rng = np.random.default_rng(seed)
-    return random_measurements(rng, count, 2, 1, missing=0.3), random_poses(rng, 1)[0]
+    return random_measurements(rng, count, 2, 1, missing=missing), random_poses(rng, 1)[0]
 
 
 @jax.jit
@@ -158,7 +166,7 @@ def test_residuals_are_those_of_the_matrix_form() -> None:
 
 def test_belief_in_landmarks_alone_changes_their_noise_alone() -> None:
     """Also where the vectors' noise is not scheduled."""
-    m, T = sequence(30)
+    m, T = sequence(30, missing=0.0)
     factor = ConstantGain(jnp.asarray(26.0))
     believed = ran(kalman(NoiseGains(landmarks=factor)), m, T)
     variance = float(SIGNAL.largest) ** 0.25
@@ -166,6 +174,27 @@ def test_belief_in_landmarks_alone_changes_their_noise_alone() -> None:
     plain = ran(KalmanFilter(numbers(louder)), m, T)
     for a, b in zip(jax.tree.leaves(believed[:2]), jax.tree.leaves(plain[:2]), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("kinds", ["both", "vectors", "landmarks"])
+def test_half_of_the_doubt_that_all_measured_sensors_share_is_taken_back(kinds) -> None:
+    """A kind without belief is believed; a sample without a sensor has no least factor."""
+    m, _ = sequence(40, missing=0.5)
+    filter, rng, leasts = kalman(NoiseGains()), np.random.default_rng(3), []
+    for k in range(40):
+        sample, s = filter.prepare(as_arrays(m, np.float64).at(k)), sample_of(m, k)
+        of = [LARGEST ** rng.uniform(0.2, 1, len(weights)) for weights in (s.sR, s.sL)]
+        given = [tuple(jnp.asarray(f) for f in each) for each in of]
+        for i, kind in enumerate(("vectors", "landmarks")):
+            if kinds not in (kind, "both"):
+                of[i], given[i] = np.ones_like(of[i]), None
+        found = halfway_to_the_least(Factors(*given), sample, jnp.asarray(LARGEST))
+        measured = np.concatenate([f[w > 0] for f, w in zip(of, (s.sR, s.sL), strict=True)])
+        leasts.append(min(measured, default=LARGEST))
+        for factors, got in zip(of, found, strict=True):
+            if got is not None:
+                np.testing.assert_allclose(got, factors / np.sqrt(leasts[-1]))
+    assert min(leasts) < 1e4 < max(leasts) == LARGEST
 
 
 @pytest.mark.parametrize("role", ["unknown", "vectors", "landmarks"])
@@ -178,9 +207,9 @@ def test_a_schedule_that_returns_1_changes_nothing(role) -> None:
 
 
 def test_a_constant_factor_is_another_noise() -> None:
-    """K = 1 + 100 ln(4) / ln(largest) doubles deviations: a factor of 4 on their variances."""
+    """A factor of 16 that all sensors share is 4 on their variances, which doubles deviations."""
     m, T = sequence(30)
-    gain = 1 + 100 * np.log(4.0) / np.log(1e6)
+    gain = 1 + 100 * np.log(16.0) / np.log(1e6)
     constant = ConstantGain(jnp.asarray(gain))
     believed = ran(kalman(NoiseGains(vectors=constant, landmarks=constant)), m, T)
     doubled = numbers(NOISE._replace(vector=0.2, landmark=0.2))
