@@ -21,10 +21,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from nis_reset import RESET, RESET_ALSO, NisReset, nis_reset
 
 import posegsa
 from posegsa import config
 from posegsa.config import KALMAN_ALSO
+from posegsa.filters.kalman import KalmanNoise
 from posegsa.filters.noise_schedules import NoiseGains
 from posegsa.judging.baselines import replayed
 from posegsa.judging.clairvoyance import clairvoyant_costs
@@ -73,6 +75,8 @@ landmarks. The factor is q^slope above a threshold. A gate ignores what is above
 of a residual r in standard deviations, c / |r| beyond c, is the slope 1/2 of q = r^2, at once. The
 plain residual law is a power of the low-passed q. Sage and Husa's variance is the low-passed
 variance that the residuals imply."""
+BIAS = [one for one in NOISES if one["key"].endswith("initial_vector_bias")]
+NIS, OWN = "reset when a test of the NIS fails", {"kind": "own", **RESET}
 Contenders = dict[str, tuple[dict[str, Any], list[dict[str, Any]] | None]]
 """By name: changes of [filter], and numbers tuned in addition to a schedule, or None for no search.
 A contender whose name begins with that of a rule is searched in the rule's space."""
@@ -116,7 +120,7 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
     off, once_reset = {"unknown": "off"}, {"iterations": 1, "reset": "two frames"}
     return {
         "the sensors' noises, not tuned": (off | FAMILY_START, None),
-        FIRST_BIAS: (off, [one for one in NOISES if one["key"].endswith("initial_vector_bias")]),
+        FIRST_BIAS: (off, BIAS),
         "fixed noises, tuned": (off, NOISES),
         f"fixed noises, tuned{ONCE}": (off | {"iterations": 1}, NOISES),
         CLOCK: ({"unknown": "clock"}, also),
@@ -134,6 +138,8 @@ def contenders(role: str, also: list[dict[str, Any]]) -> Contenders:
                 (SAGE_HUSA, {"belief_input": "variance"}, BELIEF_ALSO),
             )
         },
+        NIS: (OWN, [*RESET_ALSO, *BIAS]),
+        f"{NIS}, estimated noises": (OWN | {"noise_adaptation": 100.0}, [*RESET_ALSO, *BIAS]),
         f"{CONTROLLER}{ONCE}": ({"unknown": "fuzzy", "iterations": 1}, also),
         CONTROLLER: ({"unknown": "fuzzy"}, also),
     }
@@ -158,14 +164,22 @@ def experiments(family: config.Experiment, seed: int) -> dict[str, tuple[config.
     found: dict[str, tuple[config.Experiment, bool]] = {}
     for contender, (section, searched) in contenders(role, also).items():
         parameters = data["parameters"] | {"also": searched or []}
-        one = data | {"filter": data["filter"] | section, "parameters": parameters}
+        numbers = data["filter"]
+        if section.get("kind") == "own":
+            numbers = {name: numbers[name] for name in KalmanNoise._fields}
+        one = data | {"filter": numbers | section, "parameters": parameters}
         found[contender] = config.from_dict(one), searched is not None
     return found
 
 
+def own_filter(one: config.Experiment) -> Callable[..., NisReset] | None:
+    """What makes the filter of a contender that is none of posegsa's."""
+    return nis_reset if isinstance(one.filter, config.OwnConfig) else None
+
+
 def held_out(one: config.Experiment, candidate: Candidate, keys: jax.Array) -> np.ndarray:
     """Costs (S,) of a candidate on scenarios."""
-    batch = scenario_batch(one, keys, filter_of(one))
+    batch = scenario_batch(one, keys, filter_of(one, own_filter(one)))
     return metrics_of(error_tracks(candidate, batch), batch)[0].cost
 
 
@@ -225,7 +239,7 @@ def search(name: str, one: config.Experiment, simpler: Searched | None = None) -
     agents, number = one.search.agents, one.search.evaluations
     iterations = MAX_FACTOR * one.search.total_iterations
     one = one.replace(**{"search.iterations": iterations})
-    problem = tuning_problem(one)
+    problem = tuning_problem(one, own=own_filter(one))
     if name == TIED:
         problem = problem._replace(space=search_space(one, TiedSpace(role_space("fuzzy", one))))
     if rule := next((rule for rule in RULES if name.startswith(rule)), None):
