@@ -66,7 +66,7 @@ JOBS = (
     Job(
         "sensors that are disturbed: bursts, noise that changes, outages",
         *("disturbed", "disturbed", "sensors", "`disturbed`, 2 vectors, 3 landmarks"),
-        "73 % less; 0.5 % less to 0.4 % more",
+        "73 % less; 0.2 % less to 0.2 % more",
     ),
     Job(
         "slow sensors, one landmark in sight at a time, a body that is moved",

@@ -93,8 +93,8 @@ class NisReset:
         found = update(state.kalman, sample, self.kalman.noise)[1]
         fading = jnp.exp(-sample.time_step / self.smoothing)
         nis, scalars = fading * state.nis + found.nis, fading * state.scalars + found.scalars
-        # A chi-squared number with m degrees of freedom has the variance 2 m; the sum of many with
-        # weights that fade by f has about half of 2 times the sum of m f^k.
+        # A chi-squared number with m degrees of freedom has the variance 2 m. The faded sum of many
+        # has about half of 2 times the faded sum of m; more, up to twice, in the first samples.
         single = (found.nis - found.scalars) / jnp.sqrt(2 * maximum(found.scalars, 1.0))
         several = (nis - scalars) / jnp.sqrt(maximum(scalars, 1.0))
         moved = (single > self.single) | (several > self.several)

@@ -4,7 +4,8 @@ A sensor's input is its squared residual at the estimate before the sample, over
 A schedule (`filters.noise_schedules`), one for all vectors and one for all landmarks, turns it into
 a factor from 1 up; each sensor has its own memory. A Kalman filter multiplies the variance of that
 sensor by the factor, an observer divides its weight by it: both are the same change of the factor
-on a measurement's weight.
+on a measurement's weight. Doubt that all sensors share counts half in a Kalman filter
+(`halfway_to_the_least`), and not at all in an observer, which has no covariance (`over_the_least`).
 """
 
 import operator
@@ -141,7 +142,10 @@ class BeliefMemory(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """The factor on the variance of each sensor, at least 1; None for a kind without a schedule."""
+    """The factor on the variance of each sensor, at least 1 where it is measured.
+
+    None for a kind without a schedule.
+    """
 
     vectors: tuple[Array, ...] | None
     landmarks: tuple[Array, ...] | None
@@ -235,11 +239,21 @@ def belief_factors(
     return Factors(*factors), BeliefMemory(*memories)
 
 
-def _least(sensors: Sequence[Any], factors: Sequence[Array], largest: Array) -> Array:
-    """The least factor of the sensors that are measured; `largest` if there are none."""
-    pairs = zip(sensors, factors, strict=True)
-    measured = (choose(sensor.factor > 0, factor, largest) for sensor, factor in pairs)
-    return reduce(minimum, measured, largest)
+def _leasts(factors: Factors, sample: Sample, largest: Array) -> list[Array]:
+    """The least factor of each kind, of those that are measured; `largest` if none is."""
+    leasts = []
+    for sensors, of_kind in zip((sample.vectors.each, sample.landmarks), factors, strict=True):
+        each = (jnp.ones_like(largest),) * len(sensors) if of_kind is None else of_kind
+        pairs = zip(sensors, each, strict=True)
+        measured = (choose(sensor.factor > 0, factor, largest) for sensor, factor in pairs)
+        leasts.append(reduce(minimum, measured, largest))
+    return leasts
+
+
+def _divided(factors: Factors, by: Sequence[Array]) -> Factors:
+    """The factors of each kind over a number."""
+    pairs = zip(factors, by, strict=True)
+    return Factors(*(of if of is None else tuple(one / over for one in of) for of, over in pairs))
 
 
 def over_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
@@ -253,35 +267,23 @@ def over_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
         sample: whose sensors with a weight above 0 are measured.
         largest: any number that no factor exceeds.
     """
-    kinds = zip((sample.vectors.each, sample.landmarks), factors, strict=True)
-    relative = (
-        None
-        if of_kind is None
-        else tuple(factor / _least(sensors, of_kind, largest) for factor in of_kind)
-        for sensors, of_kind in kinds
-    )
-    return Factors(*relative)
+    return _divided(factors, _leasts(factors, sample, largest))
 
 
 def halfway_to_the_least(factors: Factors, sample: Sample, largest: Array) -> Factors:
-    """All factors over the square root of the least one.
+    """All factors over the square root of the least one, of both kinds.
 
-    When every sensor is doubted, it may as well be the estimate that is wrong, although its
-    covariance is small. Half of the doubt that all of them share is then taken as such, in the
+    When every sensor of a sample is doubted, it may as well be the estimate that is wrong, although
+    its covariance is small. Half of the doubt that all of them share is then taken as such, in the
     logarithm. While one sensor is believed nothing changes.
 
     Args:
-        factors: up to `largest`.
+        factors: up to `largest`; a kind without a schedule is believed.
         sample: whose sensors with a weight above 0 are measured.
         largest: any number that no factor exceeds.
     """
-    kinds = zip((sample.vectors.each, sample.landmarks), factors, strict=True)
-    each = (
-        _least(sensors, (jnp.ones_like(largest),) * len(sensors) if of is None else of, largest)
-        for sensors, of in kinds
-    )
-    root = jnp.sqrt(reduce(minimum, each, largest))
-    return Factors(*(of if of is None else tuple(factor / root for factor in of) for of in factors))
+    root = jnp.sqrt(minimum(*_leasts(factors, sample, largest)))
+    return _divided(factors, (root, root))
 
 
 def as_believed(sample: Sample, factors: Factors) -> Sample:

@@ -360,8 +360,7 @@ class KalmanFilter:
             known = state.estimate, state.covariance, sample, noise.vector, noise.landmark
             each, before = residuals(*known, of=self.belief_input), BeliefMemory(*memory[1:])
             factors, after = belief_factors(beliefs, signals.belief, before, each, *on_time)
-            largest = jnp.broadcast_to(signals.belief.largest, sample.time_step.shape)
-            factors = halfway_to_the_least(factors, sample, largest)
+            factors = halfway_to_the_least(factors, sample, signals.belief.largest)
             sample, memory = as_believed(sample, factors), KalmanMemory(memory.unknown, *after)
         if of_noise is not None and memory.unknown:
             error, seen = measured_error(state.estimate, sample, noise.vector, noise.landmark)

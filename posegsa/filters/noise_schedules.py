@@ -19,7 +19,7 @@ Both inputs are logarithms, because both outputs are:
 
 K = 1 + centroid, as in the paper: its controller of five terms, 25 rules and k1 to k22 (Eqs. 18 and
 19) stands here unchanged, and so does any other schedule of `model.schedules`. K = 1 changes
-nothing, K = 101 multiplies by `largest`.
+nothing, K = 101 multiplies by `largest`, of belief less what all sensors share (`filters.belief`).
 """
 
 from collections.abc import Mapping

@@ -633,8 +633,7 @@ class Observer:
                 *(of_beliefs, self.belief.signal, beliefs, each),
                 *(now.time, now.sample.time_step),
             )
-            largest = jnp.broadcast_to(self.belief.signal.largest, now.sample.time_step.shape)
-            factors = over_the_least(factors, now.sample, largest)
+            factors = over_the_least(factors, now.sample, self.belief.signal.largest)
             now = now._replace(sample=as_believed(now.sample, factors))
             believed = factors.vectors or ()
         seen = see(state.estimate, now.sample, self.settings)

@@ -191,10 +191,23 @@ def test_half_of_the_doubt_that_all_measured_sensors_share_is_taken_back(kinds) 
         found = halfway_to_the_least(Factors(*given), sample, jnp.asarray(LARGEST))
         measured = np.concatenate([f[w > 0] for f, w in zip(of, (s.sR, s.sL), strict=True)])
         leasts.append(min(measured, default=LARGEST))
+        assert [got is None for got in found] == [one is None for one in given]
         for factors, got in zip(of, found, strict=True):
             if got is not None:
                 np.testing.assert_allclose(got, factors / np.sqrt(leasts[-1]))
     assert min(leasts) < 1e4 < max(leasts) == LARGEST
+
+
+def test_the_doubt_that_is_shared_may_have_a_batch_where_the_sample_has_none() -> None:
+    """A candidate's own `belief_largest`, with samples that all candidates share."""
+    m, _ = sequence(1, missing=0.0)
+    sample = kalman(NoiseGains()).prepare(as_arrays(m, np.float64).at(0))
+    largest = jnp.asarray([1e2, 1e4, 1e6])
+    found = halfway_to_the_least(Factors((largest, 4 * largest), (9 * largest,)), sample, largest)
+    assert found.vectors is not None
+    assert found.landmarks is not None
+    for got, factor in zip((*found.vectors, *found.landmarks), (1, 4, 9), strict=True):
+        np.testing.assert_allclose(got, factor * np.sqrt(largest))
 
 
 @pytest.mark.parametrize("role", ["unknown", "vectors", "landmarks"])
