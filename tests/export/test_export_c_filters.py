@@ -142,7 +142,8 @@ CASES = (
     *("recommended", "disturbed"),
 )
 COARSE = ("iterated", "believing", "recommended", "disturbed", "led by the clock")
-"""In float their gains, and so their estimates, differ by more."""
+"""In float their gains, and so their estimates, differ by more: those of `disturbed` in Python's own
+float32 by up to 1.7e-4 from float64."""
 
 
 @cache
@@ -222,7 +223,7 @@ def test_the_c_filter_is_the_python_filter(build: Build, name: str, real: str):
     found = run_c(program, rows, exact.vector_bias.shape[1])
     assert (found.code == CODES["ok"]).all()
     for quantity in QUANTITIES:
-        allowed = 1e-12 if real == "double" else 1e-4 if name in COARSE else 2e-5
+        allowed = 1e-12 if real == "double" else 4e-4 if name in COARSE else 2e-5
         assert deviation(found, exact, quantity) < allowed, quantity
 
 
