@@ -142,8 +142,8 @@ CASES = (
     *("recommended", "disturbed"),
 )
 COARSE = ("iterated", "believing", "recommended", "disturbed", "led by the clock")
-"""In float their gains, and so their estimates, differ by more: those of `disturbed` in Python's own
-float32 by up to 1.7e-4 from float64."""
+"""In float their gains, and so their estimates, differ by more: Python's own run of `disturbed` in
+float32 by up to 1.7e-4."""
 
 
 @cache
