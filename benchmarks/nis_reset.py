@@ -1,9 +1,9 @@
 """A Kalman filter that is reset when a test of its innovations fails, as a filter of a user's own.
 
-What is usually done about a body that is moved, without any schedule: if the normalised innovation
-squared of a sample, or its low-passed sum, is much larger than the covariance says (Y. Bar-Shalom,
-X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section
-5.4), the covariance of the pose is widened.
+The usual remedy where a body is moved, without any schedule. If the normalised innovation squared
+of a sample, or its low-passed sum, is much larger than the covariance says, the covariance of the
+pose is widened (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to Tracking
+and Navigation, 2001, section 5.4).
 """
 
 from collections.abc import Mapping
@@ -55,15 +55,15 @@ class NisReset:
 
     kalman: KalmanFilter
     single: Array
-    """Largest innovation of one sample, in standard deviations from its expectation."""
+    """Largest NIS of one sample that passes, in its standard deviations above its expectation."""
     several: Array
-    """Largest sum, the same."""
+    """The same of the sum."""
     smoothing: Array
     """Memory of the sum [s]."""
     attitude: Array
-    """What is added to the attitude's standard deviation, in squares [rad]."""
+    """Its square is added to the variance of the attitude about each axis [rad]."""
     position: Array
-    """The same of the position [m]."""
+    """Its square is added to the variance of the position along each axis [m]."""
     elementwise: ClassVar[bool] = True
 
     def with_values(self, values: Mapping[str, Array]) -> Self:

@@ -75,7 +75,7 @@ landmarks. The factor is q^slope above a threshold. A gate ignores what is above
 of a residual r in standard deviations, c / |r| beyond c, is the slope 1/2 of q = r^2, at once. The
 plain residual law is a power of the low-passed q. Sage and Husa's variance is the low-passed
 variance that the residuals imply. Where all sensors of a sample are doubted, each is weaker than as
-users know it (`filters.belief.halfway_to_the_least`), which costs less."""
+users know it (`filters.belief.halfway_to_the_least`)."""
 BIAS = [one for one in NOISES if one["key"].endswith("initial_vector_bias")]
 NIS, OWN = "reset when a test of the NIS fails", {"kind": "own", **RESET}
 Contenders = dict[str, tuple[dict[str, Any], list[dict[str, Any]] | None]]
